@@ -1,0 +1,252 @@
+"""Can these contacts carry the robot, and where may its centre of mass be?
+
+Contact forces are zonotopes: a contact pushes with `f = offset + G t`, `lower <= t <= upper`, so that friction (Gönen
+2021, eqs. 4.8-4.11), pins and magnets are one model and every question below stays linear.
+
+`SupportProgram` is the reference, one `MathematicalProgram` for one set of contacts; `climber.programs.support` answers
+the same question for many sets at once and must agree with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.solvers import ClarabelSolver, ClpSolver, MathematicalProgram
+
+from climber.stance import Contact, Vector
+from climber.wall import Hold, Wall
+
+
+@dataclass(frozen=True)
+class ContactForces:
+    """What contacts can push with: `f = offset + generators @ t`, `lower <= t <= upper`, forces in W.
+
+    The leading shape `...` is whatever the contacts are indexed by: holds, or sets and places in a set.
+
+    Attributes:
+        offset: Force at t = 0 [N], shape (..., 3).
+        generators: Directions of the generators, unit vectors as columns, shape (..., 3, p).
+        lower: Least multiple of each generator [N], shape (..., p).
+        upper: Greatest multiple of each generator [N], shape (..., p).
+    """
+
+    offset: Vector
+    generators: Vector
+    lower: Vector
+    upper: Vector
+
+    def __getitem__(self, index: object) -> ContactForces:
+        """The contacts at `index`, which indexes the leading axes."""
+        i: NDArray[np.int64] = index  # type: ignore[assignment]
+        return ContactForces(self.offset[i], self.generators[i], self.lower[i], self.upper[i])
+
+
+def hold_forces(hold: Hold) -> ContactForces:
+    """The forces one hold offers to a planar robot.
+
+    Friction: the two edges of the cone (eq. 4.8), each between `min_force` and `max_force` (eq. 4.9). Pin: the axes of
+    the plane, each up to `max_force` either way. Magnet: the edges of the cone, shifted by `adhesion` into the hold.
+
+    Raises:
+        ValueError: If the normal leaves the wall plane; the section of a tilted cone is not the cone of its section.
+    """
+    normal = np.array(hold.normal, dtype=float)
+    if hold.grip == "pin":
+        bound = np.full(2, hold.max_force)
+        return ContactForces(np.zeros(3), np.eye(3)[:, :2], -bound, bound)
+    if abs(normal[2]) > 1e-9:
+        raise ValueError(f"a planar friction cone needs a normal in the wall plane, not {hold.normal}")
+    half_angle = np.arctan(hold.friction)
+    across = np.array([-normal[1], normal[0], 0.0])
+    edges = np.stack([np.cos(half_angle) * normal + s * np.sin(half_angle) * across for s in (1.0, -1.0)], axis=-1)
+    adhesion = hold.adhesion if hold.grip == "magnet" else 0.0
+    return ContactForces(-adhesion * normal, edges, np.full(2, hold.min_force), np.full(2, hold.max_force))
+
+
+def wall_forces(wall: Wall) -> ContactForces:
+    """The forces of every hold of the wall; the leading shape is (num_holds,)."""
+    forces = [hold_forces(hold) for hold in wall.holds]
+    return ContactForces(
+        np.array([f.offset for f in forces]).reshape(-1, 3),
+        np.array([f.generators for f in forces]).reshape(-1, 3, 2),
+        np.array([f.lower for f in forces]).reshape(-1, 2),
+        np.array([f.upper for f in forces]).reshape(-1, 2),
+    )
+
+
+def weight_in_plane(wall: Wall, mass: float) -> float:
+    """The pull on the robot down along the wall [N].
+
+    Raises:
+        ValueError: If there is none, on a floor say: then nothing ties the centre of mass to the contacts.
+    """
+    weight = float(mass * np.hypot(*wall.gravity[:2]))
+    if not weight > 1e-9:
+        raise ValueError(f"no gravity along the wall: mass {mass} kg, inclination {wall.inclination_deg} degrees")
+    return weight
+
+
+@dataclass(frozen=True)
+class SupportInterval:
+    """Where the centre of mass may be, or why it may be nowhere.
+
+    Attributes:
+        lower: Least abscissa of the centre of mass in W [m]; NaN when empty.
+        upper: Greatest abscissa of the centre of mass in W [m]; NaN when empty.
+        direction: When empty, the unit direction in W in which the contacts cannot push enough, shape (3,).
+        shortfall: When empty, by how much they cannot [N]: `direction . (-weight)` exceeds the greatest
+            `direction . force` of the contacts by this.
+    """
+
+    lower: float
+    upper: float
+    direction: Vector | None = None
+    shortfall: float = 0.0
+
+    @property
+    def empty(self) -> bool:
+        """No centre of mass can be held."""
+        return self.direction is not None
+
+    @property
+    def width(self) -> float:
+        """Width of the interval [m]; 0 when empty."""
+        return 0.0 if self.empty else self.upper - self.lower
+
+    def margin(self, x_com: float) -> float:
+        """Distance from `x_com` to the nearer end [m], negative outside, -inf when the interval is empty."""
+        return -np.inf if self.empty else min(x_com - self.lower, self.upper - x_com)
+
+
+class SupportProgram:
+    """The interval of the centre of mass's abscissa in static equilibrium (Gönen 2021, eqs. 4.12-4.16).
+
+    Given contacts i = 1..k at p_i [m] with forces f_i = o_i + G_i t_i [N], the weight m g [N] down along -y, and the
+    reference point p_0, the mean of the p_i (any point serves; a near one keeps the numbers small):
+
+        min or max  x_CM
+        over        t_1, ..., t_k, x_CM
+        subject to  (1) sum_i f_i = (0, m g)                                 force balance, x and y
+                    (2) sum_i (p_i - p_0) x f_i = (x_CM - x_0) m g           torque balance about p_0
+                    (3) lower_i <= t_i <= upper_i                            force limits (4.9)
+
+    Every force in a friction cone is a nonnegative sum of its two edges, so in the plane the cone is exact. The limits
+    are the thesis's, on each edge: the contact force itself can be up to twice `max_force` where the cone is narrow.
+
+    Attributes:
+        prog: The program, constraints named; its costs are added at `solve`.
+        t: Its variables [N], shape (k, p).
+        x_com: Its variable x_CM - x_0 [m].
+    """
+
+    def __init__(self, points: Vector, forces: ContactForces, weight: float) -> None:
+        """Builds the program.
+
+        Args:
+            points: Contact points in W [m], shape (k, 3).
+            forces: Forces of the contacts, leading shape (k,).
+            weight: The robot's weight along the wall [N].
+        """
+        self._points, self._forces, self._weight = points.reshape(-1, 3), forces, weight
+        self._x0 = float(self._points[:, 0].mean()) if len(points) else 0.0
+        k, p = forces.lower.shape
+        self.prog = MathematicalProgram()
+        self.t = self.prog.NewContinuousVariables(k, p, "t")
+        self.x_com = self.prog.NewContinuousVariables(1, "x_com")[0]
+
+        arms = self._points - self._points.mean(axis=0) if k else self._points
+        balance = np.zeros((3, k * p + 1))
+        for i in range(k):
+            columns = slice(i * p, (i + 1) * p)
+            balance[:2, columns] = forces.generators[i, :2]
+            balance[2, columns] = _cross(arms[i], forces.generators[i])
+        balance[2, -1] = -weight
+        constant = np.append(forces.offset.sum(axis=0)[:2], _cross(arms.T, forces.offset.T).sum())
+        load = np.array([0.0, weight, 0.0]) - constant
+        variables = np.append(self.t.ravel(), self.x_com)
+        for rows, name in (([0], "force balance along x"), ([1], "force balance along y"), ([2], "torque balance")):
+            row = self.prog.AddLinearEqualityConstraint(balance[rows], load[rows], variables)
+            row.evaluator().set_description(name)
+        for i in range(k):
+            limits = self.prog.AddBoundingBoxConstraint(forces.lower[i], forces.upper[i], self.t[i])
+            limits.evaluator().set_description(f"force limits of contact {i}")
+
+    @classmethod
+    def of_contacts(cls, wall: Wall, contacts: Sequence[Contact], mass: float) -> SupportProgram:
+        """The program for feet on a wall; `mass` in kg."""
+        holds = np.array([c.hold for c in contacts], dtype=int)
+        return cls(wall.points(contacts), wall_forces(wall)[holds], weight_in_plane(wall, mass))
+
+    def solve(self) -> SupportInterval:
+        """Both ends of the interval, or the direction in which the contacts fail."""
+        ends = []
+        for sign in (1.0, -1.0):
+            cost = self.prog.AddLinearCost(sign * self.x_com)
+            result = ClpSolver().Solve(self.prog)
+            self.prog.RemoveCost(cost)
+            if not result.is_success():
+                return self._failure()
+            ends.append(self._x0 + float(result.GetSolution(self.x_com)))
+        return SupportInterval(ends[0], ends[1])
+
+    @cached_property
+    def interval(self) -> SupportInterval:
+        """`solve()`, remembered."""
+        return self.solve()
+
+    def margin(self, x_com: float) -> float:
+        """How far `x_com` [m] is inside the interval [m], negative outside, -inf when nothing can be held."""
+        return self.interval.margin(x_com)
+
+    def _failure(self) -> SupportInterval:
+        certificate = ShortfallProgram(self._forces, self._weight).solve()
+        if certificate is None:  # the torque row is free through x_CM, so only force balance can fail
+            raise RuntimeError("Clp calls a load infeasible that the contacts can carry")
+        return SupportInterval(np.nan, np.nan, *certificate)
+
+
+class ShortfallProgram:
+    """The least force that the contacts lack to carry the weight.
+
+        min         |(0, m g) - sum_i (o_i + G_i t_i)|^2
+        over        t_1, ..., t_k
+        subject to  lower_i <= t_i <= upper_i
+
+    The forces the contacts can make together are a convex set, so the gap to its nearest point is the normal of a
+    plane that separates the weight from all of them. Along that normal the shortfall is then evaluated in closed form,
+    so that direction and shortfall prove infeasibility whatever the solver's rounding.
+    """
+
+    def __init__(self, forces: ContactForces, weight: float) -> None:
+        """Builds the program; arguments as for `SupportProgram`."""
+        self._forces = forces
+        self._directions = np.moveaxis(forces.generators, 0, 1).reshape(3, -1)  # (3, k p)
+        self._load = np.array([0.0, weight, 0.0]) - forces.offset.sum(axis=0)
+        self.prog = MathematicalProgram()
+        self.t = self.prog.NewContinuousVariables(self._directions.shape[1], "t")
+        if len(self.t):
+            limits = self.prog.AddBoundingBoxConstraint(forces.lower.ravel(), forces.upper.ravel(), self.t)
+            limits.evaluator().set_description("force limits")
+            gap = self.prog.Add2NormSquaredCost(self._directions, self._load, self.t)
+            gap.evaluator().set_description("force that is lacking, squared")
+
+    def solve(self) -> tuple[Vector, float] | None:
+        """The unit direction in W, shape (3,), and the shortfall along it [N]; None when the load can be carried."""
+        gap = self._load
+        if len(self.t):
+            gap = self._load - self._directions @ ClarabelSolver().Solve(self.prog).GetSolution(self.t)
+        direction = gap / max(float(np.linalg.norm(gap)), 1e-300)
+        along = direction @ self._directions  # per generator
+        most = np.maximum(along * self._forces.lower.ravel(), along * self._forces.upper.ravel()).sum()
+        shortfall = float(direction @ self._load - most)
+        return (direction, shortfall) if shortfall > 0.0 else None
+
+
+def _cross(arm: Vector, force: Vector) -> Vector:
+    """The z component of arm x force; vectors along the first axis."""
+    result: Vector = arm[0] * force[1] - arm[1] * force[0]
+    return result
