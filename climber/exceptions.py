@@ -1,0 +1,90 @@
+"""What climber raises. A message says what was received, where, and what is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+
+class ClimberError(Exception):
+    """Base of everything climber raises on purpose."""
+
+
+class ScenarioError(ClimberError):
+    """A scenario that cannot be planned for as it is written.
+
+    Attributes:
+        file: The scenario file, or the name its text goes by.
+        path: Where in the file, such as `wall.holds[3].friction`; empty for the file as a whole.
+        given: The value found there, as the message shows it; None where nothing was given.
+        allowed: What would be accepted instead.
+    """
+
+    def __init__(
+        self, message: str, *, file: str = "", path: str = "", given: str | None = None, allowed: str = ""
+    ) -> None:
+        super().__init__(message)
+        self.file = file
+        self.path = path
+        self.given = given
+        self.allowed = allowed
+
+    @classmethod
+    def at(cls, file: str | Path, path: str, given: object, allowed: str) -> ScenarioError:
+        """The error of one value at one place.
+
+        Args:
+            file: The scenario file, or the name its text goes by.
+            path: The field, such as `robots[0].start.right_front`; empty for the file as a whole.
+            given: The value found there; None where nothing was given.
+            allowed: What would be accepted, as the end of the sentence "allowed: ...".
+        """
+        shown = None if given is None else _short(given)
+        where = f"{file}: {path}" if path else f"{file}"
+        message = f"{where}: {'nothing given' if shown is None else f'given {shown}'}; allowed: {allowed}"
+        return cls(message, file=str(file), path=path, given=shown, allowed=allowed)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Worker processes hand their errors back by pickling, which by default knows of positional arguments only.
+        return (_restored, (str(self), self.file, self.path, self.given, self.allowed))
+
+
+def _restored(message: str, file: str, path: str, given: str | None, allowed: str) -> ScenarioError:
+    return ScenarioError(message, file=file, path=path, given=given, allowed=allowed)
+
+
+def _short(value: object, longest: int = 80) -> str:
+    """The value as one line that is never a page long."""
+    text = repr(value)
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."
+
+
+class ModelError(ClimberError):
+    """A robot model, or the description beside it, is not what climber can plan for."""
+
+
+class PlanFileError(ClimberError):
+    """A plan file that cannot be read, or is not of a version this climber knows."""
+
+
+class NoPlanFound(ClimberError):
+    """There is no plan to return, with the evidence.
+
+    Attributes:
+        proved: True when it is proved that no plan exists on this model; False when a budget ran out first.
+        cuts: The moves given up on, each with its reason, in the order they were cut.
+        counts: Counts of each stage up to here.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        proved: bool,
+        cuts: Sequence[object] = (),
+        counts: Mapping[str, int] | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.proved = proved
+        self.cuts = tuple(cuts)
+        self.counts = dict(counts or {})
