@@ -6,6 +6,7 @@ axis runs over configurations and agree with the plant to rounding (the tests ho
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -198,6 +199,27 @@ class Kinematics:
             ],
             axis=1,
         )
+
+    def foot_jacobians(self, q: Vector, limbs: Sequence[int]) -> Vector:
+        """Jacobians of the feet of `limbs` in W by the plant's velocities, shape (K, len(limbs), 2, nv).
+
+        The rows are x and y: out of the plane a planar robot's feet do not move.
+        """
+        robot = self.robot
+        pelvis = self.pelvis(q[:, robot.base_q])
+        result = np.zeros((len(q), len(limbs), 2, robot.plant.num_velocities()))
+        for row, i in enumerate(limbs):
+            limb, chain = robot.limbs[i], self.chains[i]
+            links = chain.links(pelvis, q[:, limb.q])
+            foot = chain.foot_position(links)
+            result[:, row, 0, robot.base_v[0]] = result[:, row, 1, robot.base_v[1]] = 1.0
+            for pose, axis, column in [
+                (pelvis, np.array([0.0, 0.0, 1.0]), robot.base_v[2]),
+                *((link, parent.rotation @ step.axis, v) for link, parent, step, v in
+                  zip(links, [pelvis, *links], chain.steps, limb.v, strict=False)),
+            ]:
+                result[:, row, :, column] = np.cross(np.broadcast_to(axis, foot.shape), foot - pose.origin)[:, :2]
+        return result
 
     def center_of_mass(self, q: Vector, poses: list[Pose] | None = None) -> Vector:
         """The robot's centre of mass in W [m], shape (K, 3)."""

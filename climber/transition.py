@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -98,11 +98,13 @@ def _enclosing_circles(points: Vector) -> tuple[Vector, Vector]:
 
 
 class PostureSampler:
-    """Samples feasible postures on all contacts of a stance, vectorised over pelvis poses and branches.
+    """Samples feasible postures on a manifold, vectorised over pelvis poses and branches.
+
+    The joints of limbs in the air are drawn uniformly.
 
     Attributes:
         body: The robot.
-        manifold: The conditions; its contacts must cover every limb.
+        manifold: The contacts and conditions.
     """
 
     CELLS = 128  # of the pelvis's angle
@@ -114,7 +116,8 @@ class PostureSampler:
         self._lengths = np.array(
             [limb.reach for limb in body.robot.limbs] - np.linalg.norm(self._hips, axis=1)
         )
-        counts = [inverse.branches for inverse in body.inverse]
+        self._holding = np.array(sorted(manifold.points))
+        counts = [inverse.branches if i in manifold.points else 1 for i, inverse in enumerate(body.inverse)]
         self._combinations = np.array(list(itertools.product(*(range(count) for count in counts))))
 
     @cached_property
@@ -127,12 +130,13 @@ class PostureSampler:
         step = 2 * np.pi / self.CELLS
         angle = -np.pi + step * (np.arange(self.CELLS) + 0.5)
         sin, cos = np.sin(angle)[:, None], np.cos(angle)[:, None]
-        x, y = self._hips.T
+        hips_in_pelvis, lengths = self._hips[self._holding], self._lengths[self._holding]
+        x, y = hips_in_pelvis.T
         hips = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
-        feet = np.array([self.manifold.points[i][:2] for i in range(len(self._hips))])
+        feet = np.array([self.manifold.points[i][:2] for i in self._holding])
         center, radius = _enclosing_circles(feet - hips)
         # Within a cell the hips move by at most this, so a cell that is dropped holds no solution at all.
-        length = self._lengths.max() + np.linalg.norm(self._hips, axis=1).max() * step / 2
+        length = lengths.max() + np.linalg.norm(hips_in_pelvis, axis=1).max() * step / 2
         possible = radius <= length
         spread = np.sqrt(np.maximum(length**2 - radius**2, 0.0))
         return angle[possible], center[possible], spread[possible]
@@ -161,19 +165,23 @@ class PostureSampler:
         base[:, 2] = angle[cell] + (rng.random(count) - 0.5) * 2 * np.pi / self.CELLS
         pelvis = body.kinematics.pelvis(base)
         keep = np.ones(count, dtype=bool)
-        for i, hip in enumerate(self._hips):
-            gap = self.manifold.points[i][:2] - pelvis.point(np.append(hip, 0.0))[:, :2]
+        for i in self._holding:
+            gap = self.manifold.points[i][:2] - pelvis.point(np.append(self._hips[i], 0.0))[:, :2]
             keep &= np.linalg.norm(gap, axis=1) <= self._lengths[i] - self.manifold.margins.reach
         base, pelvis = base[keep], Pose(pelvis.rotation[keep], pelvis.origin[keep])
         angles, fits, moments = [], [], []
         for i, (limb, inverse, chain) in enumerate(zip(robot.limbs, body.inverse, body.kinematics.chains, strict=True)):
-            leading = rng.uniform(limb.lower[: inverse.leading], limb.upper[: inverse.leading], (len(base), inverse.leading))
-            solved, reach = inverse.solve(pelvis, leading, self.manifold.points[i])
+            free = inverse.leading if i in self.manifold.points else len(limb.q)
+            leading = rng.uniform(limb.lower[:free], limb.upper[:free], (len(base), free))
+            if i in self.manifold.points:
+                solved, reach = inverse.solve(pelvis, leading, self.manifold.points[i])
+            else:
+                solved, reach = leading[:, None, :], np.full(len(base), np.inf)
             inside = np.minimum(solved - limb.lower, limb.upper - solved).min(axis=2) >= self.manifold.margins.joint
             fits.append(inside & (reach >= self.manifold.margins.reach)[:, None])
             angles.append(solved)
             moments.append(
-                np.stack([chain.moment(chain.links(pelvis, solved[:, b]))[:, 0] for b in range(inverse.branches)], axis=1)
+                np.stack([chain.moment(chain.links(pelvis, branch))[:, 0] for branch in solved.swapaxes(0, 1)], axis=1)
             )
         places = self._combinations.T
         fit = np.logical_and.reduce([f[:, b] for f, b in zip(fits, places, strict=True)])
@@ -195,6 +203,14 @@ class PostureSampler:
         return q[good], branches[good], slack[good], reachable
 
 
+def between(before: Manifold, after: Manifold) -> Manifold:
+    """The manifold of the instant between two phases: on the contacts of both, balanced for each with its margin."""
+    contacts = sorted(set(before.contacts) | set(after.contacts), key=lambda contact: contact.limb)
+    lower, upper = (ends for ends in zip(before.balanced, after.balanced, strict=True))
+    exact = replace(before.margins, balance=0.0)
+    return Manifold(before.body, contacts, (max(lower), min(upper)), exact)
+
+
 def _spread(q: Vector, branches: Vector, slack: Vector, most: int) -> Vector:
     """Places of at most `most` postures: the roomiest of each branch combination in turn."""
     kind = np.unique(branches, axis=0, return_inverse=True)[1].reshape(-1)
@@ -211,7 +227,7 @@ def find_transition(
     limb: int,
     rng: np.random.Generator,
     margins: Margins | None = None,
-    rounds: Sequence[int] = (2_000, 8_000, 40_000),
+    rounds: Sequence[int] = (500, 4_000, 20_000),
     most: int = 24,
 ) -> Postures:
     """Postures on `contacts` in which the limbs other than `limb` can hold the robot on their own.
@@ -233,11 +249,17 @@ def find_transition(
     if holding is None or touching is None:
         who = f"the limbs other than {name}" if holding is None else "all limbs"
         return Postures(ordered, *empty, Failure("proved", f"no forces of {who} balance gravity"))
-    support = max(holding[0], touching[0]), min(holding[1], touching[1])
-    if support[0] > support[1]:
-        reason = f"the support intervals with and without {name} lie {support[0] - support[1]:.4f} m apart"
+    gap = max(holding[0], touching[0]) - min(holding[1], touching[1])
+    if gap > 0:
+        reason = f"the support intervals with and without {name} lie {gap:.4f} m apart"
         return Postures(ordered, *empty, Failure("proved", reason))
-    sampler = PostureSampler(body, Manifold(body, ordered, support, margins))
+    both = between(
+        Manifold(body, [c for c in ordered if c.limb != limb], holding, margins), Manifold(body, ordered, touching, margins)
+    )
+    if both.support[0] > both.support[1]:
+        reason = f"the support intervals with and without {name} share only {-gap:.4f} m, less than the margins ask"
+        return Postures(ordered, *empty, Failure("budget", reason))
+    sampler = PostureSampler(body, both)
     if sampler.unreachable():
         reason = "at no angle of the pelvis do all limbs reach their holds"
         return Postures(ordered, *empty, Failure("proved", reason))

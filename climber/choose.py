@@ -1,0 +1,76 @@
+"""Which of the transition postures found to use: a shortest path through layers of candidates.
+
+Along a climb, layers follow one another: postures to start from, then for every move where its limb may let go and where
+it has taken hold, then postures that reach the goal. Between neighbouring layers the robot shifts or swings. Motions
+whose ends bend the holding limbs alike are nearly always easy, so a flip of an elbow counts like a long way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from climber.path import unwound
+from climber.stance import Contact, Vector
+
+FLIP = 4.0  # what an elbow flip counts as, in joint-space length [rad]
+
+
+@dataclass
+class Layer:
+    """Candidate postures for one instant of a climb.
+
+    Attributes:
+        contacts: The contacts they stand on, in limb order.
+        q: Configurations, shape (M, nq).
+        branches: Branch of each limb, shape (M, num_limbs).
+        holding: The limbs that hold on during the phase that ends here.
+    """
+
+    contacts: tuple[Contact, ...]
+    q: Vector
+    branches: Vector
+    holding: tuple[int, ...]
+
+
+@dataclass
+class Candidates:
+    """Layers of candidate postures and what is known of the phases between them.
+
+    Attributes:
+        layers: The layers, first to last.
+        angle: Place of the pelvis's angle in the positions.
+        barred: Phases that did not work out: (layer before, candidate there, candidate in the next layer).
+    """
+
+    layers: list[Layer]
+    angle: int
+    barred: set[tuple[int, int, int]] = field(default_factory=set)
+
+    def costs(self, i: int) -> Vector:
+        """Cost of every phase from layer i to layer i + 1, shape (M_i, M_{i+1}); inf where barred."""
+        here, there = self.layers[i], self.layers[i + 1]
+        step = unwound(there.q[None], here.q[:, None], self.angle) - here.q[:, None]
+        holding = list(there.holding)
+        flips = (here.branches[:, None, holding] != there.branches[None, :, holding]).sum(axis=2)
+        result: Vector = np.linalg.norm(step, axis=2) + FLIP * flips
+        for layer, a, b in self.barred:
+            if layer == i:
+                result[a, b] = np.inf
+        return result
+
+    def best(self) -> list[int] | None:
+        """The candidate of each layer on the cheapest way through, or None when everything is barred."""
+        total = np.zeros(len(self.layers[0].q))
+        before = []
+        for i in range(len(self.layers) - 1):
+            through = total[:, None] + self.costs(i)
+            before.append(through.argmin(axis=0))
+            total = through.min(axis=0)
+        if not len(total) or not np.isfinite(total.min()):
+            return None
+        chosen = [int(total.argmin())]
+        for back in reversed(before):
+            chosen.append(int(back[chosen[-1]]))
+        return chosen[::-1]

@@ -1,0 +1,140 @@
+"""From a path to a motion: when the robot is where, rest to rest, inside joint rates.
+
+The path is retraced at a pace that keeps the fastest joint's share of its rate limit constant, and along that pace a
+minimum-jerk law runs from rest to rest. Because the law's shape is fixed, a motion that asks too much of contacts or
+motors is mended by one number, its duration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from climber.manifold import Chart
+from climber.stance import Vector
+
+PEAK = 1.875  # greatest rate of the minimum-jerk law, against the mean
+
+
+class Curve(Protocol):
+    """A twice continuously differentiable curve of chart coordinates over s in [0, 1]; arrays run over s first."""
+
+    def u(self, s: Vector) -> Vector:
+        """Chart coordinates, shape (K, num_coordinates)."""
+        ...
+
+    def du(self, s: Vector) -> Vector:
+        """First derivative by s."""
+        ...
+
+    def ddu(self, s: Vector) -> Vector:
+        """Second derivative by s."""
+        ...
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A motion sampled in time.
+
+    Attributes:
+        time: [s], shape (K,).
+        q: Positions, shape (K, nq).
+        v: Velocities, shape (K, nv).
+        vd: Accelerations, shape (K, nv).
+    """
+
+    time: Vector
+    q: Vector
+    v: Vector
+    vd: Vector
+
+
+def _rates(chart: Chart, q: Vector, du: Vector, ddu: Vector | None = None) -> tuple[Vector, Vector | None]:
+    """Velocities and accelerations of the whole robot from those of the chart's coordinates.
+
+    The contacts stay put: J_d v_d = -J_u du for the dependent coordinates, and J_d a_d = -J_u ddu - dJ/dt v.
+    """
+    body = chart.body
+    limbs = sorted(chart.points)
+    free, tied = chart.independent, chart.dependent
+
+    def jacobian(at: Vector) -> Vector:
+        J = body.kinematics.foot_jacobians(at, limbs)
+        return J.reshape(len(at), 2 * len(limbs), -1)
+
+    J = jacobian(q)
+    v = np.zeros_like(q)
+    v[:, free] = du
+    v[:, tied] = -np.linalg.solve(J[:, :, tied], J[:, :, free] @ du[:, :, None])[:, :, 0]
+    if ddu is None:
+        return v, None
+    # Central difference of J along the motion, exact enough (1e-9 of its size) and the same for every robot.
+    h = 1e-5
+    drift = ((jacobian(q + h * v) - jacobian(q - h * v)) @ v[:, :, None])[:, :, 0] / (2 * h)
+    vd = np.zeros_like(q)
+    vd[:, free] = ddu
+    vd[:, tied] = -np.linalg.solve(J[:, :, tied], J[:, :, free] @ ddu[:, :, None] + drift[:, :, None])[:, :, 0]
+    return v, vd
+
+
+class PacedPath:
+    """One leg of a path, paced: the coordinates as functions of sigma, the time it takes at full joint rates [s].
+
+    Attributes:
+        chart: The leg's chart.
+        length: sigma at the end [s].
+    """
+
+    GRID = 101
+
+    def __init__(self, chart: Chart, curve: Curve) -> None:
+        self.chart, self._curve = chart, curve
+        s = np.linspace(0.0, 1.0, self.GRID)
+        q, _ = chart.expand(curve.u(s))
+        dq, _ = _rates(chart, q, curve.du(s))
+        limits = np.full(q.shape[1], 1.0)  # [m/s, rad/s] of the pelvis, which has no limit of its own
+        for limb in chart.body.robot.limbs:
+            limits[limb.v] = limb.velocity
+        limits = np.where(np.isfinite(limits), limits, 10.0)
+        # A smooth stand-in for the largest share of its limit that any joint uses.
+        pace = (np.abs(dq / limits) ** 8).sum(axis=1) ** (1 / 8) + 1e-9
+        sigma = np.append(0.0, np.cumsum((pace[1:] + pace[:-1]) / 2 * np.diff(s)))
+        # Crawl rather than jump where the path hardly moves the joints.
+        sigma += 0.02 * sigma[-1] * s
+        self.length = float(sigma[-1])
+        self._s = CubicSpline(sigma, s)
+
+    def at(self, sigma: Vector, rate: Vector, acceleration: Vector) -> tuple[Vector, Vector, Vector]:
+        """Positions, velocities and accelerations at sigma, its rate and its acceleration, each of shape (K,)."""
+        s = np.clip(self._s(sigma), 0.0, 1.0)
+        first, second = self._s(sigma, 1), self._s(sigma, 2)
+        ds, dds = first * rate, second * rate**2 + first * acceleration
+        du, ddu = self._curve.du(s), self._curve.ddu(s)
+        q, _ = self.chart.expand(self._curve.u(s))
+        v, vd = _rates(self.chart, q, du * ds[:, None], ddu * ds[:, None] ** 2 + du * dds[:, None])
+        assert vd is not None
+        return q, v, vd
+
+    def samples(self, duration: float, count: int) -> Samples:
+        """The leg run from rest to rest in `duration` [s] at `count` even instants, both ends included."""
+        tau = np.linspace(0.0, 1.0, count)
+        law = tau**3 * (10 - 15 * tau + 6 * tau**2)
+        first = 30 * tau**2 * (1 - tau) ** 2 / duration
+        second = 60 * tau * (1 - tau) * (1 - 2 * tau) / duration**2
+        q, v, vd = self.at(self.length * law, self.length * first, self.length * second)
+        return Samples(duration * tau, q, v, vd)
+
+
+def joined(pieces: Sequence[Samples]) -> Samples:
+    """Pieces run one after the other; each begins where, and at rest as, the one before it ends."""
+    time, q, v, vd = [pieces[0].time], [pieces[0].q], [pieces[0].v], [pieces[0].vd]
+    for piece in pieces[1:]:
+        time.append(time[-1][-1] + piece.time[1:])
+        q.append(piece.q[1:])
+        v.append(piece.v[1:])
+        vd.append(piece.vd[1:])
+    return Samples(np.concatenate(time), np.concatenate(q), np.concatenate(v), np.concatenate(vd))
