@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -53,10 +54,13 @@ def _restored(message: str, file: str, path: str, given: str | None, allowed: st
     return ScenarioError(message, file=file, path=path, given=given, allowed=allowed)
 
 
-def _short(value: object, longest: int = 80) -> str:
-    """The value as one line that is never a page long."""
-    text = repr(value)
-    return text if len(text) <= longest else f"{text[: longest - 3]}..."
+_REPR = reprlib.Repr()
+_REPR.maxlevel, _REPR.maxlist, _REPR.maxdict, _REPR.maxstring, _REPR.maxother = 3, 6, 6, 80, 80
+
+
+def _short(value: object) -> str:
+    """The value as one line that is never a page long, however deep the value."""
+    return _REPR.repr(value)
 
 
 class ModelError(ClimberError):
