@@ -1,8 +1,8 @@
 """A posture on given contacts that is as near as it can be to postures before and after it.
 
-Sampling finds transition postures that are feasible but arbitrary; a path between arbitrary postures is long. Here each is
-pulled towards its neighbours by Drake's `InverseKinematics`. Distances between links are left out of the program, where
-they would cost more than everything else together, and what it returns is checked afterwards.
+Sampling finds transition postures that are feasible but arbitrary; a path between arbitrary postures is long. Here
+each is pulled towards its neighbours by Drake's `InverseKinematics`. Distances between links are left out of the
+program, where they would cost more than everything else together, and what it returns is checked afterwards.
 """
 
 from __future__ import annotations
@@ -66,8 +66,9 @@ def elbow_range(body: Body, limb: int, branch: int, margin: float) -> tuple[floa
 class PostureProgram:
     """The posture on one set of contacts that is nearest to some targets.
 
-    With q the positions of the plant [m, rad], p_WF_i(q) the foot of limb i and p_WC_i its contact [m], c_x(q) the abscissa
-    of the centre of mass [m], q_i the joints of limb i and e_i its last one [rad], and (w_k, q_k) the targets:
+    With q the positions of the plant [m, rad], p_WF_i(q) the foot of limb i and p_WC_i its contact [m], c_x(q) the
+    abscissa of the centre of mass [m], q_i the joints of limb i and e_i its last one [rad], and (w_k, q_k) the
+    targets:
 
         min   sum_k w_k |q - q_k|^2                                                     (1)
         s.t.  p_WF_i(q) = p_WC_i                for each holding limb i                 (2)
@@ -76,8 +77,8 @@ class PostureProgram:
               c_x_lower <= c_x(q) <= c_x_upper                                          (5)
 
     (2) is Gönen 2021's closed-chain condition, for a planar robot in x and y only. (4) keeps a limb on its branch and
-    within reach, away from where it is straight and joint rates grow without bound. (5) is the support interval. Links may
-    touch each other or an obstacle in a solution: `improve_posture` rejects that.
+    within reach, away from where it is straight and joint rates grow without bound. (5) is the support interval.
+    Links may touch each other or an obstacle in a solution: `improve_posture` rejects that.
 
     The program owns the context it evaluates kinematics in; do not share one between threads.
 
@@ -170,8 +171,8 @@ def improve_posture(
         program: The program for these contacts and the branches of `guess`, to save building it.
 
     Returns:
-        A configuration of the same branches, feasible, with contacts kept to machine precision, and strictly nearer to the
-        targets than the guess is; None if none was found.
+        A configuration of the same branches, feasible, with contacts kept to machine precision, and strictly nearer
+        to the targets than the guess is; None if none was found.
     """
     chart = manifold.chart(guess)
     program = program or PostureProgram(body, manifold, chart.branches)

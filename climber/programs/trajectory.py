@@ -1,0 +1,227 @@
+"""Shorter, smoother curves on a stance's manifold.
+
+`refine` turns the polyline of a path search into a curve that is feasible, short and twice continuously
+differentiable. Of two programs that do so it uses `ChartProgram`, a B-spline in the chart's coordinates, rather than
+Drake's `KinematicTrajectoryOptimization` in all positions (`climber.programs.kinematic_trajectory`): contacts hold
+exactly, it is faster, and it can afford to look at distances between links (benchmarks/bench_refine.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import clarabel
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.sparse import csc_matrix
+
+from climber.curve import DEGREE, RESOLUTION, Curve, clamped_knots, polyline_lengths, rounded, smooth
+from climber.manifold import Chart, Manifold, Margins
+from climber.programs.conditions import Conditions
+from climber.stance import Vector
+
+__all__ = ["ChartProgram", "Curve", "Solution", "Subproblem", "minimise", "refine", "smooth"]
+
+NUM_CONTROL = 12  # control points, unless the guess needs more to be feasible
+SMOOTHING = 0.01  # weight of bending against length
+SAMPLES = 36  # intervals between samples, at least
+WATCH = 0.04  # [m] shapes farther apart than this are not looked at in one step
+ENOUGH = 1e-3  # a step that promises to lower the cost by less than this share is not taken
+SETTLED = 0.02  # after a step that lowered it by less than this share there is no other
+LARGEST_STEP = 1.0  # [rad] of the trust region
+
+
+@dataclass(frozen=True)
+class Subproblem:
+    """A convex quadratic program in the change x of the inner control points: min x'Px/2 + c'x s.t. Ax <= b.
+
+    Attributes:
+        P: Shape (size, size), size being inner control points times coordinates, a control point's together.
+        c: Shape (size,).
+        A: Shape (rows, size).
+        b: Shape (rows,).
+        names: What each row is about; the trust region's rows come last and have none.
+    """
+
+    P: Vector
+    c: Vector
+    A: Vector
+    b: Vector
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What sequential quadratic programming made of a curve.
+
+    Attributes:
+        curve: The curve.
+        cost: Its objective [rad^2].
+        before: The objective it began with [rad^2].
+        iterations: Subproblems solved.
+        binding: The conditions that keep the cost from being lower, as of the last subproblem.
+    """
+
+    curve: Curve
+    cost: float
+    before: float
+    iterations: int
+    binding: tuple[str, ...]
+
+
+class ChartProgram:
+    """The smoothest short curve between two points of a chart.
+
+    With u(s) = sum_j B_j(s) u_j the clamped B-spline of N control points in the chart's coordinates, q(u) the
+    configuration [m, rad], g(u) the conditions of `Conditions` [m, rad], and samples s_0 = 0 < ... < s_S = 1 that are
+    ds apart:
+
+        min over u_1 ... u_{N-2}   sum_i |q_{i+1} - q_i|^2 / ds
+                                   + w sum_i |q_{i+1} - 2 q_i + q_{i-1}|^2 / ds^3                   (1)
+        s.t.  g(u(s_i)) >= 0   for 0 < i < S                                                        (2)
+
+    (1) discretises int |q'|^2 + w |q''|^2 ds. The first part is least, and is the squared length, where the curve is
+    shortest and run through at constant pace; the second rounds corners. The ends u_0 and u_{N-1} are given. Contacts
+    need no constraint: the chart keeps them everywhere. (2) says nothing between samples, so `solve` keeps an iterate
+    only if it is feasible on a finer grid.
+
+    Solved by sequential quadratic programming with Gauss-Newton Hessians in a trust region. With r(u) the stacked
+    residuals of (1), J their Jacobian and G_k the gradient of condition k,
+
+        min over x   |r + J x|^2   s.t.  g_k + G_k x >= min(g_k, backoff),   |x_jc| <= radius / scale_c       (3)
+
+    x = 0 satisfies (3), so it always has a solution. Clarabel is handed its matrices.
+    """
+
+    def __init__(
+        self, manifold: Manifold, chart: Chart, num_control: int = NUM_CONTROL, smoothing: float = SMOOTHING
+    ) -> None:
+        self.manifold, self.chart, self.num_control = manifold, chart, num_control
+        self.conditions = Conditions(manifold, chart)
+        count = max(SAMPLES, 2 * (num_control - DEGREE))
+        self.s = np.linspace(0.0, 1.0, count + 1)
+        spline = BSpline(clamped_knots(num_control), np.eye(num_control), DEGREE)
+        self.basis: Vector = spline(self.s)  # (S + 1, N)
+        ds = 1.0 / count
+        first = np.diff(np.eye(count + 1), axis=0) / np.sqrt(ds)
+        second = np.diff(np.eye(count + 1), n=2, axis=0) * np.sqrt(smoothing / ds**3)
+        self._difference = np.concatenate([first, second])  # r = difference @ q
+        self._normal = self._difference.T @ self._difference  # (S + 1, S + 1)
+
+    def cost(self, control: Vector) -> float:
+        """The objective (1) of control points, shape (num_control, num_coordinates)."""
+        q, _ = self.chart.expand(self.basis @ control)
+        return float(((self._difference @ q) ** 2).sum())
+
+    def subproblem(self, control: Vector, radius: float, backoff: float) -> Subproblem:
+        """The quadratic program (3) around control points, shape (num_control, num_coordinates)."""
+        inner = self.basis[:, 1:-1]
+        size = inner.shape[1] * control.shape[1]
+        near = self.conditions.linearised(self.basis @ control, WATCH)
+        # dq_i/du_jc = B_j(s_i) dq/du_c
+        J = np.einsum("sj,sqc->sqjc", inner, near.dq).reshape(len(self.s), -1, size)
+        weighted = np.tensordot(self._normal, J, 1)
+        P = 2 * np.tensordot(J, weighted, ((0, 1), (0, 1)))
+        c = 2 * np.tensordot(near.q, weighted, ((0, 1), (0, 1)))
+        bound = radius / self.chart.scale
+        room = near.value - np.minimum(near.value, backoff)
+        # The basis adds up to one, so no sample leaves the trust region, and most conditions have room for all of it.
+        tight = (room < np.abs(near.slope) @ bound) & (near.place > 0) & (near.place < len(self.s) - 1)
+        rows = np.einsum("mj,mc->mjc", inner[near.place[tight]], near.slope[tight]).reshape(-1, size)
+        box = np.tile(bound, inner.shape[1])
+        names = (
+            f"{self.conditions.names[k]} at s={self.s[i]:.3f}"
+            for i, k in zip(near.place[tight], near.kind[tight], strict=True)
+        )
+        return Subproblem(
+            P,
+            c,
+            np.concatenate([-rows, np.eye(size), -np.eye(size)]),
+            np.concatenate([room[tight], box, box]),
+            tuple(names),
+        )
+
+    def solve(
+        self, guess: Curve, check: Manifold | None = None, iterations: int = 12, resolution: float = RESOLUTION
+    ) -> Solution:
+        """Improves a curve of `num_control` control points.
+
+        Args:
+            guess: The curve to begin with; the result has its ends.
+            check: What a better curve must satisfy on the fine grid; the program's manifold by default.
+            iterations: Subproblems solved at most.
+            resolution: Of the fine grid [rad].
+        """
+        check = check or self.manifold
+        curve, cost = guess, self.cost(guess.control)
+        before, solved = cost, 0
+        binding: tuple[str, ...] = ()
+        radius, backoff = 0.4, 2e-4
+        while solved < iterations and radius > 5e-3:
+            problem = self.subproblem(curve.control, radius, backoff)
+            x, prices = minimise(problem)
+            solved += 1
+            binding = tuple(name for name, price in zip(problem.names, prices, strict=False) if price > 1e-4 * cost)
+            promised = -float(x @ problem.P @ x / 2 + problem.c @ x)
+            if not promised > ENOUGH * cost:
+                break
+            control = curve.control.copy()
+            control[1:-1] += x.reshape(-1, control.shape[1])
+            trial, after = Curve(self.chart, control), self.cost(control)
+            if not after < cost:
+                radius *= 0.3
+            elif not trial.feasible(check, resolution):
+                radius, backoff = 0.3 * radius, 3 * backoff
+            else:
+                gained = cost - after
+                curve, cost = trial, after
+                if gained < SETTLED * cost:
+                    break
+                if gained > 0.7 * promised:
+                    radius = min(2 * radius, LARGEST_STEP)
+        return Solution(curve, cost, before, solved, binding)
+
+
+def minimise(problem: Subproblem) -> tuple[Vector, Vector]:
+    """The minimiser of a subproblem, shape (size,), and what each row's bound costs it, shape (rows,)."""
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-6
+    cones = [clarabel.NonnegativeConeT(len(problem.b))]
+    P, A = csc_matrix(np.triu(problem.P)), csc_matrix(problem.A)
+    solution = clarabel.DefaultSolver(P, problem.c, A, problem.b, cones, settings).solve()
+    return np.array(solution.x), np.array(solution.z)
+
+
+def _loosened(manifold: Manifold) -> Manifold:
+    """The manifold with its margins halved."""
+    halves = Margins(*(getattr(manifold.margins, field.name) / 2 for field in fields(Margins)))
+    return Manifold(manifold.body, manifold.contacts, manifold.support, halves)
+
+
+def refine(manifold: Manifold, chart: Chart, u: Vector, smoothing: float = SMOOTHING) -> Curve | None:
+    """A short and smooth curve in place of a polyline.
+
+    Args:
+        manifold: What makes a configuration feasible.
+        chart: The chart that `u` is in.
+        u: Corners of a feasible polyline, shape (M, num_coordinates), M at least 2.
+        smoothing: Weight of bending against length, see `ChartProgram`.
+
+    Returns:
+        A curve with the ends of `u`, no longer than it in joint space, feasible wherever it was looked at (see
+        `Curve.feasible`). A polyline that a coarser search let graze its margins may use up half of them. None if the
+        polyline is infeasible beyond that.
+    """
+    for check in (manifold, _loosened(manifold)):
+        guess = smooth(check, chart, u, NUM_CONTROL)
+        if guess is not None:
+            break
+    else:
+        return None
+    longest = float(polyline_lengths(chart, u).sum())
+    if longest < 1e-9:
+        return guess
+    start = guess if len(u) > 2 else rounded(chart, u, NUM_CONTROL)
+    better = ChartProgram(manifold, chart, len(start.control), smoothing).solve(start, check).curve
+    return better if better is not start and better.length <= longest else guess
