@@ -109,8 +109,8 @@ def read_tree(text: str, file: str) -> dict[str, Any]:
     Raises:
         ScenarioError: If the text is not one YAML mapping with each key once.
     """
-    loader = _CoreLoader(text)
     try:
+        loader = _CoreLoader(text)
         node = loader.get_single_node()
         if node is not None:
             _refuse_duplicates(node, "", file, set())
@@ -118,15 +118,14 @@ def read_tree(text: str, file: str) -> dict[str, Any]:
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
-        problem = getattr(error, "problem", None) or str(error)
+        said = [getattr(error, "context", None), getattr(error, "problem", None) or str(error)]
+        problem = ", ".join(" ".join(part.split()) for part in said if part)
         raise ScenarioError(
             f"{file}: {where}not YAML that can be read: {problem}; allowed: one plain YAML mapping",
             file=file,
-            given=str(problem),
+            given=problem,
             allowed="one plain YAML mapping",
         ) from error
-    finally:
-        loader.dispose()
     if not isinstance(tree, dict):
         given = "an empty file" if tree is None else tree
         raise ScenarioError.at(file, "", given, "a YAML mapping of fields")
