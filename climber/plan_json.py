@@ -146,14 +146,16 @@ class Node:
         Returns:
             The numbers, with as many axes as `shape`.
         """
-        items = self.items()
-        if shape[0] is not None and len(items) != shape[0]:
-            raise self.error(f"{shape[0]} entries are expected, not {len(items)}")
+        if not isinstance(self.value, list):
+            raise self.error("a list is expected")
+        if shape[0] is not None and len(self.value) != shape[0]:
+            raise self.error(f"{shape[0]} entries are expected, not {len(self.value)}")
         if len(shape) > 1:
-            return np.array([item.array(*shape[1:]) for item in items]).reshape(len(items), *shape[1:])
-        # Quick when all is well, and only then in detail.
-        if not all(type(value) is float and math.isfinite(value) for value in self.value):
-            for item in items:
+            rows = [item.array(*shape[1:]) for item in self.items()]
+            return np.array(rows).reshape(len(rows), *shape[1:])
+        # A quick look first, since a plan has hundreds of thousands of numbers; one by one only to say what is wrong.
+        if not (set(map(type, self.value)) <= {float} and all(map(math.isfinite, self.value))):
+            for item in self.items():
                 item.number()
         return np.array(self.value, dtype=float)
 

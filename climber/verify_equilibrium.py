@@ -1,0 +1,154 @@
+"""Where the centre of mass may be, and how far a force is from what a hold can give: Gönen's model, written anew.
+
+The planner's programs are Drake's; these are cvxpy's, solved by Clarabel, and share no line with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cvxpy
+import numpy as np
+
+from climber.stance import Vector
+from climber.wall import Hold, Wall
+
+ACCURATE = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}
+
+
+@dataclass(frozen=True)
+class Grip:
+    """What a hold can exert in the wall plane: f = offset + generators t with lower <= t <= upper.
+
+    Attributes:
+        offset: Constant part [N], shape (2,).
+        generators: Unit vectors as columns, shape (2, 2); they may coincide if there is no friction.
+        lower: Least multiple of each generator [N], shape (2,).
+        upper: Greatest multiple of each generator [N], shape (2,).
+    """
+
+    offset: Vector
+    generators: Vector
+    lower: Vector
+    upper: Vector
+
+    @classmethod
+    def of(cls, hold: Hold) -> Grip:
+        """A hold's grip: cone edges for friction (Gönen 4.8, 4.9), axes for a pin, a preloaded cone for a magnet."""
+        if hold.grip == "pin":
+            return cls(np.zeros(2), np.eye(2), np.full(2, -hold.max_force), np.full(2, hold.max_force))
+        normal = np.array(hold.normal[:2])
+        tangent = np.array([normal[1], -normal[0]])
+        half_angle = np.arctan(hold.friction)
+        edges = np.cos(half_angle) * normal[:, None] + np.sin(half_angle) * np.outer(tangent, [1.0, -1.0])
+        offset = -hold.adhesion * normal if hold.grip == "magnet" else np.zeros(2)
+        return cls(offset, edges, np.full(2, hold.min_force), np.full(2, hold.max_force))
+
+    def excess(self, force: Vector) -> Vector:
+        """By how much forces (K, 3) break the grip's limits [N], shape (K,); negative inside them.
+
+        The in-plane force is resolved into its multiples of the two generators, and each of these compared with its
+        limits. Nothing may push across the wall plane. Without friction the generators are one and the same direction,
+        along which the force is shared equally; any force across it is in excess.
+        """
+        planar = force[:, :2] - self.offset
+        multiples = planar @ np.linalg.pinv(self.generators).T
+        beside = np.abs(planar - multiples @ self.generators.T).max(axis=1)
+        outside = np.maximum(self.lower - multiples, multiples - self.upper).max(axis=1)
+        astray = np.maximum(np.abs(force[:, 2]), beside)
+        return np.asarray(np.where(astray > 1e-9, np.maximum(outside, astray), outside))
+
+
+@dataclass(frozen=True)
+class Support:
+    """The interval of the centre of mass's abscissa, or why there is none.
+
+    Attributes:
+        lower: Least abscissa [m]; NaN if there is none.
+        upper: Greatest abscissa [m]; NaN if there is none.
+        status: What the solver said of the two programs.
+    """
+
+    lower: float
+    upper: float
+    status: str
+
+    @property
+    def exists(self) -> bool:
+        """Whether there is an interval at all."""
+        return self.lower <= self.upper
+
+
+class _SupportProgram:
+    """Extreme abscissae at which k contacts hold the robot up (Gönen eqs 4.8-4.17).
+
+    Variables: multiples t of the generators [N], shape (2k,); abscissa x of the centre of mass from the contacts'
+    centroid [m].
+
+        minimise, then maximise   x
+        subject to   sum_i G_i t_i            = -(sum_i offset_i) - m g        force balance       (4.13, lines 1-2)
+                     sum_i r_i x (G_i t_i)    = -(sum_i r_i x offset_i) + W x  torque balance      (4.13, line 3)
+                     lower <= t <= upper                                       cones and limits    (4.9, 4.11)
+
+    with the contact points r_i taken from the centroid, W the in-plane weight and gravity along -y.
+    """
+
+    def __init__(self, contacts: int) -> None:
+        self.t = cvxpy.Variable(2 * contacts)
+        self.x = cvxpy.Variable()
+        self.wrench = cvxpy.Parameter((3, 2 * contacts))
+        self.load = cvxpy.Parameter(3)
+        self.lever = cvxpy.Parameter(3)
+        self.lower = cvxpy.Parameter(2 * contacts)
+        self.upper = cvxpy.Parameter(2 * contacts)
+        constraints = [
+            self.wrench @ self.t == self.load + self.lever * self.x,
+            self.t >= self.lower,
+            self.t <= self.upper,
+        ]
+        self.least = cvxpy.Problem(cvxpy.Minimize(self.x), constraints)
+        self.greatest = cvxpy.Problem(cvxpy.Maximize(self.x), constraints)
+
+
+@lru_cache
+def _program(contacts: int) -> _SupportProgram:
+    return _SupportProgram(contacts)
+
+
+def support_interval(wall: Wall, holds: Sequence[int], points: Vector, mass: float) -> Support:
+    """The interval of the centre of mass's abscissa for feet at `points` on `holds`.
+
+    Args:
+        wall: The wall.
+        holds: Number of the hold under each foot, k of them.
+        points: Where the feet are in W [m], shape (k, 3).
+        mass: The robot's mass [kg].
+    """
+    if not holds:
+        return Support(np.nan, np.nan, "no contacts")
+    grips = [Grip.of(wall.holds[hold]) for hold in holds]
+    weight = -mass * float(wall.gravity[1])
+    centroid = points[:, :2].mean(axis=0)
+    arms = points[:, :2] - centroid
+    generators = np.hstack([grip.generators for grip in grips])
+    offset = np.array([grip.offset for grip in grips])
+    around = np.repeat(arms, 2, axis=0)
+    program = _program(len(grips))
+    program.wrench.value = np.vstack([generators, around[:, 0] * generators[1] - around[:, 1] * generators[0]])
+    twist = float((arms[:, 0] * offset[:, 1] - arms[:, 1] * offset[:, 0]).sum())
+    program.load.value = np.array([-offset[:, 0].sum(), weight - offset[:, 1].sum(), -twist])
+    program.lever.value = np.array([0.0, 0.0, weight])
+    program.lower.value = np.concatenate([grip.lower for grip in grips])
+    program.upper.value = np.concatenate([grip.upper for grip in grips])
+    ends = []
+    for problem in (program.least, program.greatest):
+        try:
+            problem.solve(solver=cvxpy.CLARABEL, **ACCURATE)
+        except cvxpy.SolverError as error:
+            return Support(np.nan, np.nan, str(error))
+        if problem.status != cvxpy.OPTIMAL:
+            return Support(np.nan, np.nan, str(problem.status))
+        ends.append(float(problem.value) + float(centroid[0]))
+    return Support(ends[0], ends[1], cvxpy.OPTIMAL)

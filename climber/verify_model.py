@@ -1,0 +1,250 @@
+"""The robot's mechanics for many instants at once, written for `verify` alone and held to Drake's plant.
+
+A plan has some fifty thousand instants between its samples, and Drake takes them one at a time. `Tree` reads bodies,
+joints and inertias from the plant and evaluates poses, feet, centre of mass and the equations of motion for whole
+arrays. `DrakeModel` asks the plant itself. `verify` compares the two at every sample and stops trusting the plan if
+they differ, so Drake remains the authority.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pydrake.multibody.math import SpatialForce
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    Joint,
+    MultibodyForces,
+    PlanarJoint,
+    RevoluteJoint,
+    WeldJoint,
+)
+
+from climber.exceptions import ModelError
+from climber.robot import Robot
+from climber.stance import Vector
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where every body is at K instants, world first, in W.
+
+    Attributes:
+        rotation: Orientations R_WB, shape (num_bodies, K, 3, 3).
+        origin: Origins p_WBo [m], shape (num_bodies, K, 3).
+        hinge: Origins of the joints' moving frames p_WMo [m], by the joint's child body, shape (num_bodies, K, 3).
+        axes: Directions in W along which the joint of each child body moves, one for each of its velocities.
+    """
+
+    rotation: Vector
+    origin: Vector
+    hinge: Vector
+    axes: dict[int, list[Vector]]
+
+
+class Tree:
+    """Kinematics and dynamics of a tree of revolute and welded joints on a planar base, in numpy."""
+
+    def __init__(self, robot: Robot) -> None:
+        plant = robot.plant
+        context = plant.CreateDefaultContext()
+        self._gravity = robot.gravity
+        self._joints = _in_order(plant)
+        for joint in self._joints:
+            supported = isinstance(joint, RevoluteJoint | WeldJoint) or (
+                isinstance(joint, PlanarJoint) and joint.parent_body().index() == plant.world_body().index()
+            )
+            if not supported:
+                raise ModelError(
+                    f"{robot.model.path}: verify cannot follow the {joint.type_name()} joint {joint.name()!r}"
+                )
+        bodies = [plant.get_body(joint.child_body().index()) for joint in self._joints]
+        self._num_bodies = plant.num_bodies()
+        self._mass = np.zeros(self._num_bodies)
+        self._center = np.zeros((self._num_bodies, 3))  # p_BoBcm_B
+        self._inertia = np.zeros((self._num_bodies, 3, 3))  # I_BBcm_B
+        for body in bodies:
+            inertia = body.CalcSpatialInertiaInBodyFrame(context)
+            self._mass[int(body.index())] = inertia.get_mass()
+            self._center[int(body.index())] = inertia.get_com()
+            about_center = inertia.CalcRotationalInertia().ShiftToCenterOfMass(inertia.get_mass(), inertia.get_com())
+            self._inertia[int(body.index())] = about_center.CopyToFullMatrix3()
+        self._damping = np.zeros(plant.num_velocities())
+        for joint in self._joints:
+            start = joint.velocity_start()
+            self._damping[start : start + joint.num_velocities()] = joint.default_damping_vector()
+        self._armature = np.zeros(plant.num_velocities())
+        for index in plant.GetJointActuatorIndices():
+            actuator = plant.get_joint_actuator(index)
+            self._armature[actuator.joint().velocity_start()] += actuator.calc_reflected_inertia(context)
+        frames = [plant.GetFrameByName(limb.foot) for limb in robot.limbs]
+        self._foot_body = [int(frame.body().index()) for frame in frames]
+        self._foot = [frame.GetFixedPoseInBodyFrame().translation() for frame in frames]
+        self._pelvis = int(robot.pelvis.index())
+
+    def poses(self, q: Vector) -> Poses:
+        """Where the bodies are for positions `q`, shape (K, nq)."""
+        count = len(q)
+        rotation = np.zeros((self._num_bodies, count, 3, 3))
+        rotation[0] = np.eye(3)
+        origin = np.zeros((self._num_bodies, count, 3))
+        hinge = np.zeros((self._num_bodies, count, 3))
+        axes: dict[int, list[Vector]] = {}
+        for joint in self._joints:
+            parent, child = int(joint.parent_body().index()), int(joint.child_body().index())
+            X_PF = joint.frame_on_parent().GetFixedPoseInBodyFrame()
+            X_MB = joint.frame_on_child().GetFixedPoseInBodyFrame().inverse()
+            R_WF = rotation[parent] @ X_PF.rotation().matrix()
+            p_WM = origin[parent] + rotation[parent] @ X_PF.translation()
+            first = joint.position_start()
+            if isinstance(joint, PlanarJoint):
+                p_WM = p_WM + R_WF[:, :, 0] * q[:, first, None] + R_WF[:, :, 1] * q[:, first + 1, None]
+                R_WM = R_WF @ _turn(np.array([0.0, 0.0, 1.0]), q[:, first + 2])
+                axes[child] = [R_WF[:, :, 0], R_WF[:, :, 1], R_WF[:, :, 2]]
+            elif isinstance(joint, RevoluteJoint):
+                R_WM = R_WF @ _turn(joint.revolute_axis(), q[:, first])
+                axes[child] = [R_WF @ joint.revolute_axis()]
+            else:
+                R_WM = R_WF
+                axes[child] = []
+            rotation[child] = R_WM @ X_MB.rotation().matrix()
+            origin[child] = p_WM + R_WM @ X_MB.translation()
+            hinge[child] = p_WM
+        return Poses(rotation, origin, hinge, axes)
+
+    def feet(self, poses: Poses) -> Vector:
+        """Where the feet are in W [m], shape (K, num_limbs, 3)."""
+        at = [poses.origin[b] + poses.rotation[b] @ foot for b, foot in zip(self._foot_body, self._foot, strict=True)]
+        return np.stack(at, axis=1)
+
+    def pelvis(self, poses: Poses) -> Vector:
+        """Where the pelvis's origin is in W [m], shape (K, 3)."""
+        return np.asarray(poses.origin[self._pelvis])
+
+    def center_of_mass(self, poses: Poses) -> Vector:
+        """The robot's centre of mass in W [m], shape (K, 3)."""
+        centers = poses.origin + np.einsum("bkij,bj->bki", poses.rotation, self._center)
+        return np.asarray(np.einsum("b,bki->ki", self._mass, centers) / self._mass.sum())
+
+    def required_force(self, poses: Poses, v: Vector, vd: Vector, force: Vector) -> Vector:
+        """The generalised force that the actuators must supply: M vd + h - J_c^T f, by Newton and Euler.
+
+        Args:
+            poses: The configurations.
+            v: Velocities, shape (K, nv).
+            vd: Accelerations, shape (K, nv).
+            force: Force of each hold on each foot in W [N], shape (K, num_limbs, 3).
+
+        Returns:
+            Generalised forces [N, N m], shape (K, nv).
+        """
+        shape = poses.origin.shape
+        w, wd, a = np.zeros(shape), np.zeros(shape), np.zeros(shape)  # of the bodies' frames, at their origins
+        push, turn = np.zeros(shape), np.zeros(shape)  # wrench on each body, about W's origin
+        for joint in self._joints:
+            parent, child = int(joint.parent_body().index()), int(joint.child_body().index())
+            first, axes = joint.velocity_start(), poses.axes[child]
+            out = poses.hinge[child] - poses.origin[parent]
+            a_hinge = a[parent] + _cross(wd[parent], out) + _cross(w[parent], _cross(w[parent], out))
+            w[child], wd[child] = w[parent], wd[parent]
+            if isinstance(joint, PlanarJoint):  # on the world, so nothing carries it along
+                a_hinge = axes[0] * vd[:, first, None] + axes[1] * vd[:, first + 1, None]
+                axes, first = axes[2:], first + 2
+            for axis in axes:
+                w[child] = w[parent] + axis * v[:, first, None]
+                wd[child] = wd[parent] + axis * vd[:, first, None] + _cross(w[parent], axis * v[:, first, None])
+            back = poses.origin[child] - poses.hinge[child]
+            a[child] = a_hinge + _cross(wd[child], back) + _cross(w[child], _cross(w[child], back))
+            arm = poses.rotation[child] @ self._center[child]
+            a_center = a[child] + _cross(wd[child], arm) + _cross(w[child], _cross(w[child], arm))
+            inertia = poses.rotation[child] @ self._inertia[child] @ np.swapaxes(poses.rotation[child], 1, 2)
+            momentum = _times(inertia, w[child])
+            push[child] = self._mass[child] * (a_center - self._gravity)
+            turn[child] = _times(inertia, wd[child]) + _cross(w[child], momentum)
+            turn[child] += _cross(poses.origin[child] + arm, push[child])
+        feet = self.feet(poses)
+        for i, body in enumerate(self._foot_body):
+            push[body] -= force[:, i]
+            turn[body] -= _cross(feet[:, i], force[:, i])
+        result = self._damping * v + self._armature * vd
+        for joint in reversed(self._joints):
+            parent, child = int(joint.parent_body().index()), int(joint.child_body().index())
+            first, axes = joint.velocity_start(), poses.axes[child]
+            if isinstance(joint, PlanarJoint):
+                for slide in axes[:2]:
+                    result[:, first] += np.einsum("ki,ki->k", slide, push[child])
+                    first += 1
+                axes = axes[2:]
+            for axis in axes:
+                about_hinge = turn[child] - _cross(poses.hinge[child], push[child])
+                result[:, first] += np.einsum("ki,ki->k", axis, about_hinge)
+            push[parent] += push[child]
+            turn[parent] += turn[child]
+        return result
+
+
+class DrakeModel:
+    """The same quantities from Drake's plant, one instant at a time."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._context = robot.plant.CreateDefaultContext()
+        self._forces = MultibodyForces(robot.plant)
+        self._bodies = [robot.plant.GetFrameByName(limb.foot).body() for limb in robot.limbs]
+
+    def at(self, q: Vector, v: Vector, vd: Vector, force: Vector) -> tuple[Vector, Vector, Vector]:
+        """Feet (num_limbs, 3) and centre of mass (3,) in W [m], and the required generalised force (nv,) [N, N m].
+
+        Args:
+            q: Positions, shape (nq,).
+            v: Velocities, shape (nv,).
+            vd: Accelerations, shape (nv,).
+            force: Force of each hold on each foot in W [N], shape (num_limbs, 3).
+        """
+        plant, context = self._robot.plant, self._context
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        self._forces.SetZero()
+        plant.CalcForceElementsContribution(context, self._forces)
+        feet = self._robot.foot_positions(context)
+        for body, foot, f in zip(self._bodies, feet, force, strict=True):
+            p_BoFoot_W = foot - body.EvalPoseInWorld(context).translation()
+            body.AddInForce(context, p_BoFoot_W, SpatialForce(np.zeros(3), f), plant.world_frame(), self._forces)
+        required = plant.CalcInverseDynamics(context, vd, self._forces)
+        return feet, self._robot.center_of_mass(context), required
+
+
+def _in_order(plant: MultibodyPlant) -> Sequence[Joint]:
+    """The joints such that each comes after the one that carries its parent body."""
+    waiting = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    reached = {plant.world_body().index()}
+    ordered: list[Joint] = []
+    while waiting:
+        ready = [joint for joint in waiting if joint.parent_body().index() in reached]
+        ordered += ready
+        reached |= {joint.child_body().index() for joint in ready}
+        waiting = [joint for joint in waiting if joint not in ready]
+    return ordered
+
+
+def _turn(axis: Vector, angle: Vector) -> Vector:
+    """Rotations about the unit vector `axis` (3,) by each `angle` [rad], shape (K,), by Rodrigues; shape (K, 3, 3)."""
+    x, y, z = axis
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    sin, cos = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    return np.asarray(np.eye(3) + sin * across + (1.0 - cos) * (across @ across))
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    """Cross products of rows; several times faster than `np.cross`, shape (K, 3)."""
+    x = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
+    y = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
+    z = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return np.stack([x, y, z], axis=1)
+
+
+def _times(matrices: Vector, vectors: Vector) -> Vector:
+    """Each matrix (K, 3, 3) times its vector (K, 3)."""
+    return np.asarray(np.einsum("kij,kj->ki", matrices, vectors))

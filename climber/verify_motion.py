@@ -1,0 +1,252 @@
+"""The checks that look at every instant of a robot's motion: samples, and points between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from climber.plan_file import Phase, RobotPlan
+from climber.robot import Robot
+from climber.scenario import RobotSpec
+from climber.stance import Vector
+from climber.verdict import Ledger
+from climber.verify_clearance import Clearance
+from climber.verify_equilibrium import Grip, Support, support_interval
+from climber.verify_model import DrakeModel, Tree
+from climber.verify_rules import BETWEEN
+from climber.wall import Wall
+
+# How far sampled derivatives may be from those that finite differences give; see `_drift`.
+KINKS_IN_VELOCITY = 5.0 / 12.0
+KINKS_IN_POSITION = 0.1
+SLACK = 1e-5  # [m/s, rad/s] for derivatives that were themselves computed numerically
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A phase at K instants, columns in the plant's order.
+
+    Attributes:
+        time: Time [s], shape (K,).
+        q: Positions, shape (K, nq).
+        v: Velocities, shape (K, nv).
+        vd: Accelerations, shape (K, nv).
+        torque: Torques in the order of `Robot.joint_names` [N m], shape (K, num_joints).
+        force: Force on each foot in W, limbs in limb order [N], shape (K, num_limbs, 3).
+        sampled: Whether the instant is a sample of the file, shape (K,).
+    """
+
+    time: Vector
+    q: Vector
+    v: Vector
+    vd: Vector
+    torque: Vector
+    force: Vector
+    sampled: NDArray[np.bool_]
+
+    @classmethod
+    def samples(cls, phase: Phase, plan: RobotPlan, robot: Robot) -> Motion:
+        """A phase's own samples."""
+        count = len(phase.time)
+        none = np.zeros((count, 3))
+        velocities = _columns(plan.velocities, robot.velocity_names)
+        return cls(
+            time=phase.time,
+            q=phase.q[:, _columns(plan.positions, robot.position_names)],
+            v=phase.v[:, velocities],
+            vd=phase.vd[:, velocities],
+            torque=phase.torque[:, _columns(plan.joints, robot.joint_names)],
+            force=np.stack([phase.force.get(limb, none) for limb in robot.limb_names], axis=1),
+            sampled=np.ones(count, dtype=bool),
+        )
+
+    def filled(self, between: int) -> Motion:
+        """The motion with `between` more instants between every two, everything interpolated linearly."""
+        steps = between + 1
+        part = np.arange(steps) / steps
+
+        def fill(values: Vector) -> Vector:
+            weight = part.reshape(1, -1, *(1,) * (values.ndim - 1))
+            mixed = values[:-1, None] * (1.0 - weight) + values[1:, None] * weight
+            return np.concatenate([mixed.reshape(-1, *values.shape[1:]), values[-1:]])
+
+        return Motion(
+            time=fill(self.time),
+            q=fill(self.q),
+            v=fill(self.v),
+            vd=fill(self.vd),
+            torque=fill(self.torque),
+            force=fill(self.force),
+            sampled=np.arange((len(self.time) - 1) * steps + 1) % steps == 0,
+        )
+
+
+def _columns(given: tuple[str, ...], wanted: tuple[str, ...]) -> list[int]:
+    return [given.index(name) for name in wanted]
+
+
+class MotionChecks:
+    """Goes through a robot's phases and takes down what it finds."""
+
+    def __init__(self, robot: Robot, wall: Wall, spec: RobotSpec, plan: RobotPlan, ledger: Ledger) -> None:
+        self._robot, self._wall, self._plan, self._ledger = robot, wall, plan, ledger
+        self._tree = Tree(robot)
+        self._drake = DrakeModel(robot)
+        regions = [(f"obstacle {i}", outline) for i, outline in enumerate(wall.obstacles)]
+        regions += [(f"avoided region {i}", region.outline()) for i, region in enumerate(spec.avoid.regions)]
+        self._clearance = Clearance(robot.model, regions)
+        self._grips = [Grip.of(hold) for hold in wall.holds]
+        self._supports: dict[tuple[tuple[int, tuple[float, ...]], ...], Support] = {}
+
+    def check(self) -> None:
+        """Checks every phase."""
+        for number, phase in enumerate(self._plan.phases):
+            samples = Motion.samples(phase, self._plan, self._robot)
+            self._sampling(number, phase, samples)
+            motion = samples.filled(BETWEEN)
+            poses = self._tree.poses(motion.q)
+            feet, center = self._tree.feet(poses), self._tree.center_of_mass(poses)
+            required = self._tree.required_force(poses, motion.v, motion.vd, motion.force)
+            self._contacts(number, phase, motion, feet)
+            self._limits(number, motion)
+            self._touching(number, motion)
+            self._equilibrium(number, phase, motion, center)
+            self._forces(number, phase, motion)
+            self._dynamics(number, motion, required)
+            self._mechanics(number, motion, feet, center, required)
+
+    def _note(self, name: str, number: int, time: Vector, values: Vector, what: list[str] | None = None) -> None:
+        """Takes down values, shape (K,) or (K, len(what)) where `what` names the columns."""
+        label = self._plan.phases[number].label
+        wide = values.reshape(len(time), -1)
+
+        def where(place: int) -> str:
+            row, column = divmod(place, wide.shape[1])
+            at = f"{self._plan.name}, phase {number} ({label}), t = {time[row]:.4f} s"
+            return at if what is None else f"{at}, {what[column]}"
+
+        self._ledger.note(name, wide.ravel(), where)
+
+    def _sampling(self, number: int, phase: Phase, samples: Motion) -> None:
+        """The samples are dense, and each series is the derivative of the one before."""
+        self._note("sampling", number, samples.time[:-1], np.diff(samples.time))
+        velocity, acceleration = _drift(samples)
+        names = list(self._robot.velocity_names)
+        self._note("velocity", number, samples.time[:-1], velocity, names)
+        self._note("acceleration", number, samples.time[:-1], acceleration, names)
+
+    def _contacts(self, number: int, phase: Phase, motion: Motion, feet: Vector) -> None:
+        """Each holding foot is at its contact point."""
+        limbs = [self._robot.limb_names.index(contact.limb) for contact in phase.contacts]
+        if limbs:
+            points = np.array([contact.point for contact in phase.contacts])
+            away = np.linalg.norm(feet[:, limbs] - points, axis=2)
+            self._note("contacts", number, motion.time, away, [contact.limb for contact in phase.contacts])
+
+    def _limits(self, number: int, motion: Motion) -> None:
+        """Joint positions, velocities and torques are within the model's limits."""
+        limbs, names = self._robot.limbs, list(self._robot.joint_names)
+        q = motion.q[:, np.concatenate([limb.q for limb in limbs])]
+        lower, upper = (np.concatenate([getattr(limb, end) for limb in limbs]) for end in ("lower", "upper"))
+        self._note("joint limits", number, motion.time, np.maximum(lower - q, q - upper), names)
+        fastest = np.concatenate([limb.velocity for limb in limbs])
+        self._note("speed limits", number, motion.time, np.abs(motion.v[:, self._robot.joint_v]) - fastest, names)
+        self._note("torque limits", number, motion.time, np.abs(motion.torque) - self._robot.effort, names)
+
+    def _touching(self, number: int, motion: Motion) -> None:
+        """Nothing touches that should not."""
+        nearest = [self._clearance.nearest(q) for q in motion.q]
+        for which, name in enumerate(("self clearance", "obstacle clearance")):
+            distance = np.array([found[which].distance for found in nearest])
+            place = int(np.argmin(distance))
+            self._note(name, number, motion.time[place : place + 1], distance[[place]], [nearest[place][which].pair])
+
+    def _support(self, phase: Phase) -> Support:
+        """The support interval of a phase's contacts, from one pair of programs for each distinct set of them."""
+        key = tuple(sorted((contact.hold, tuple(contact.point)) for contact in phase.contacts))
+        if key not in self._supports:
+            points = np.array([point for _, point in key]).reshape(-1, 3)
+            self._supports[key] = support_interval(self._wall, [hold for hold, _ in key], points, self._robot.mass)
+        return self._supports[key]
+
+    def _equilibrium(self, number: int, phase: Phase, motion: Motion, center: Vector) -> None:
+        """The centre of mass is over the support of the phase's contacts, and at its ends over the neighbours' too."""
+        phases = self._plan.phases
+        self._over(number, phase, motion.time, center)
+        if number > 0:
+            self._over(number, phases[number - 1], motion.time[:1], center[:1])
+        if number + 1 < len(phases):
+            self._over(number, phases[number + 1], motion.time[-1:], center[-1:])
+
+    def _over(self, number: int, holding: Phase, time: Vector, center: Vector) -> None:
+        support = self._support(holding)
+        margin = np.minimum(center[:, 0] - support.lower, support.upper - center[:, 0])
+        limbs = " ".join(contact.limb for contact in holding.contacts) or "nothing"
+        interval = f"[{support.lower:.4f}, {support.upper:.4f}] m" if support.exists else f"empty ({support.status})"
+        self._note("equilibrium", number, time, margin, [f"support of {limbs}: {interval}"])
+
+    def _forces(self, number: int, phase: Phase, motion: Motion) -> None:
+        """Contact forces are what their holds can give; limbs that hold nothing feel none."""
+        holds = {contact.limb: contact.hold for contact in phase.contacts}
+        for i, limb in enumerate(self._robot.limb_names):
+            if limb in holds:
+                excess = self._grips[holds[limb]].excess(motion.force[:, i])
+                self._note("friction", number, motion.time, excess, [f"{limb} on hold {holds[limb]}"])
+            else:
+                size = np.linalg.norm(motion.force[:, i], axis=1)
+                self._note("free limbs", number, motion.time, size, [limb])
+
+    def _dynamics(self, number: int, motion: Motion, required: Vector) -> None:
+        """Torques and contact forces produce the motion."""
+        residual = required.copy()
+        residual[:, self._robot.joint_v] -= motion.torque
+        names = list(self._robot.velocity_names)
+        for name, these in (("dynamics at samples", motion.sampled), ("dynamics between", ~motion.sampled)):
+            self._note(name, number, motion.time[these], np.abs(residual[these]), names)
+
+    def _mechanics(self, number: int, motion: Motion, feet: Vector, center: Vector, required: Vector) -> None:
+        """What `Tree` computed is what Drake's plant computes, at the samples."""
+        at = np.flatnonzero(motion.sampled)
+        differences = np.zeros(len(at))
+        for row, k in enumerate(at):
+            drake = self._drake.at(motion.q[k], motion.v[k], motion.vd[k], motion.force[k])
+            ours = feet[k], center[k], required[k]
+            differences[row] = max(float(np.abs(a - b).max()) for a, b in zip(ours, drake, strict=True))
+        self._note("mechanics", number, motion.time[at], differences)
+
+
+def _drift(samples: Motion) -> tuple[Vector, Vector]:
+    """How far sampled velocities and accelerations are from the derivatives of positions and velocities.
+
+    Over a step h from sample 0 to 1 the trapezium rule leaves v1 - v0 - h/2 (a0 + a1) = -h^3/12 a''. The samples of a
+    themselves say how large h^2 a'' is: bend = |a_-1 - a_0 - a_1 + a_2| / 2, at the ends of a phase
+    |a_0 - 2 a_1 + a_2|. If a only has a kink between samples (a piecewise linear acceleration), the error is at most
+    h/4 times the bend; 5/12 leaves room for that and for the bend changing from step to step, and is still below the
+    h (or, at the ends, h/2) times the bend by which a single wrong sample of a is off. Acceleration that jumps within
+    a phase is not allowed.
+
+    Likewise q1 - q0 - h/2 (v0 + v1) + h^2/12 (a1 - a0), the trapezium rule with its end correction, is at most
+    0.016 h^2 times the bend for a kink and of higher order for smooth motion.
+
+    Returns:
+        Errors over the greatest that are allowed, each of shape (N - 1, nv).
+    """
+    h = np.diff(samples.time)[:, None]
+    a = samples.vd
+    bend = np.zeros((len(h), a.shape[1]))
+    if len(a) > 3:
+        inner = np.abs(a[:-3] - a[1:-2] - a[2:-1] + a[3:]) / 2
+        # The bend passes through zero where its own slope matters, so the neighbours have a say.
+        padded = np.concatenate([inner[:1], inner, inner[-1:]])
+        bend[1:-1] = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
+    if len(a) > 2:
+        bend[0] = np.maximum(bend[min(1, len(h) - 1)], np.abs(a[0] - 2 * a[1] + a[2]))
+        bend[-1] = np.maximum(bend[max(-2, -len(h))], np.abs(a[-1] - 2 * a[-2] + a[-3]))
+    q, v = samples.q, samples.v
+    of_velocity = np.diff(v, axis=0) - h / 2 * (a[:-1] + a[1:])
+    of_position = np.diff(q, axis=0) - h / 2 * (v[:-1] + v[1:]) + h**2 / 12 * np.diff(a, axis=0)
+    position = np.abs(of_position) / (KINKS_IN_POSITION * h**2 * bend + SLACK * h)
+    velocity = np.abs(of_velocity) / (KINKS_IN_VELOCITY * h * bend + SLACK)
+    return position, velocity

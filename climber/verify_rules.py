@@ -1,0 +1,61 @@
+"""What `verify` asks of a plan, and how exactly.
+
+A tolerance of a thousandth of a millimetre or less stands for "zero" in floating point. The others are said why.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from climber.verdict import Rule
+
+BETWEEN: Final = 10  # points looked at between every two samples
+
+CONTACT = 1e-4  # [m] what a point foot may stray from its contact point between samples
+SAMPLING = 0.01  # [s] longest time between samples
+LENGTH = 1e-6  # [m] zero for lengths that a solver or Drake's narrow phase computes
+SAME = 1e-9  # [s, m, rad] zero for numbers that are copied
+REST = 1e-6  # [m/s, rad/s] zero for speeds
+FORCE = 1e-6  # [N] zero for contact forces
+TORQUE = 1e-6  # [N m] zero for excess torque
+# At samples the plan's torques and forces must be those of its motion; this much is left to a solver's accuracy and is
+# five millionths of the quadruped's weight.
+DYNAMICS_AT_SAMPLES = 1e-4  # [N, N m]
+# Between samples torques and forces are interpolated linearly, which leaves h^2/8 of their second derivative: with
+# h = 10 ms, 0.05 N is reached where a force swings by 10 N at 3 Hz or so. A motion for which this is too coarse needs
+# denser samples. It is a quarter of a percent of the quadruped's weight.
+DYNAMICS_BETWEEN = 0.05  # [N, N m]
+MODEL = 1e-8  # [m, N, N m] verify's own mechanics against Drake's
+
+RULES: Final[dict[str, Rule]] = {
+    "robots": Rule("robots keep clear of one another", "at most", 0, "faults"),
+    "stances": Rule("consecutive stances differ in one limb, and no hold carries two", "at most", 0, "faults"),
+    "phases": Rule("shifts and swings alternate, with the contacts that the stances say", "at most", 0, "faults"),
+    "start stance": Rule("the first stance is the scenario's start", "at most", 0, "faults"),
+    "start posture": Rule("the joints begin where the scenario says", "at most", REST, "rad"),
+    "goal": Rule("the last stance is the one asked for", "at most", 0, "faults"),
+    "goal pelvis": Rule("the pelvis ends within the goal region", "at most", LENGTH, "m"),
+    "waypoints": Rule("every waypoint is reached, in order", "at most", 0, "missed"),
+    "avoided": Rule("no avoided hold is used", "at most", 0, "faults"),
+    "limb order": Rule("at each stance the feet in limb order turn left", "at least", SAME, "rad"),
+    "sampling": Rule("samples are close enough together", "at most", SAMPLING + SAME, "s"),
+    "time": Rule("each phase begins when the one before ended", "at most", SAME, "s"),
+    "posture": Rule("each phase begins in the posture the one before ended in", "at most", SAME, "m, rad"),
+    "rest": Rule("the robot is at rest where a phase begins or ends", "at most", REST, "m/s, rad/s"),
+    "velocity": Rule("velocity is the derivative of position, error by what the samples allow", "at most", 1, ""),
+    "acceleration": Rule("acceleration is that of velocity, error by what the samples allow", "at most", 1, ""),
+    "patches": Rule("contact points lie on their holds", "at most", LENGTH, "m"),
+    "anchors": Rule("the contact point of a limb that holds on stays", "at most", SAME, "m"),
+    "contacts": Rule("holding feet are at their contact points", "at most", CONTACT, "m"),
+    "joint limits": Rule("joint positions within their limits (excess)", "at most", SAME, "rad"),
+    "speed limits": Rule("joint velocities within their limits (excess)", "at most", SAME, "rad/s"),
+    "torque limits": Rule("joint torques within their limits (excess)", "at most", TORQUE, "N m"),
+    "self clearance": Rule("links and pelvis do not touch", "at least", -LENGTH, "m"),
+    "obstacle clearance": Rule("no link touches an obstacle or an avoided region", "at least", -LENGTH, "m"),
+    "equilibrium": Rule("the centre of mass is over the support interval (margin)", "at least", -LENGTH, "m"),
+    "friction": Rule("contact forces within cones and limits (excess)", "at most", FORCE, "N"),
+    "free limbs": Rule("no force on a limb that holds nothing", "at most", FORCE, "N"),
+    "dynamics at samples": Rule("M vd + h = S^T tau + J^T f", "at most", DYNAMICS_AT_SAMPLES, "N, N m"),
+    "dynamics between": Rule("M vd + h = S^T tau + J^T f", "at most", DYNAMICS_BETWEEN, "N, N m"),
+    "mechanics": Rule("verify's own mechanics agree with Drake's at samples", "at most", MODEL, "m, N, N m"),
+}
