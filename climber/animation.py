@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from climber import marks
 from climber.canvas import RasterCanvas
 from climber.gif import Frame, write_gif
 from climber.picture import (
@@ -21,12 +21,13 @@ from climber.picture import (
     corners,
     fit,
     paint_center_of_mass,
+    paint_numbers,
     paint_robot,
     paint_support,
     paint_wall,
 )
-from climber.replay import Replay
-from climber.wall import Wall
+from climber.plan_file import Plan
+from climber.scene import Scene
 
 FINENESS = 2  # what moves is drawn this many times as large, then reduced
 WIDEST, TALLEST = 680.0, 560.0  # the most the wall may take [px]
@@ -53,9 +54,9 @@ class Reel:
     speed: float
 
     @classmethod
-    def of(cls, climbs: Sequence[Replay]) -> Reel:
+    def of(cls, scene: Scene) -> Reel:
         """Even frames of a whole climb at the least round speed that keeps them few; the last is the climb's end."""
-        start, end = min(climb.start for climb in climbs), max(climb.end for climb in climbs)
+        start, end = scene.start, scene.end
         fastest = (end - start) / (MOST_FRAMES - 1) / (FRAME_TIME / 1000.0)
         speed = next((s for s in SPEEDS if s >= max(fastest, 1.0)), float(np.ceil(fastest)))
         step = speed * FRAME_TIME / 1000.0
@@ -65,9 +66,9 @@ class Reel:
 class Animator:
     """Draws the frames of a climb. Only what moves is drawn for each; the rest is drawn once for each phase."""
 
-    def __init__(self, wall: Wall, climbs: Sequence[Replay], name: str, speed: float) -> None:
-        self._wall, self._climbs, self._name, self._speed = wall, climbs, name, speed
-        lower, upper = bounds(wall, [climb.reached for climb in climbs])
+    def __init__(self, scene: Scene, speed: float) -> None:
+        self._scene, self._climbs, self._speed = scene, scene.climbs, speed
+        lower, upper = bounds(scene.wall, scene.covered)
         scale = min(WIDEST / (upper - lower)[0], TALLEST / (upper - lower)[1])
         width, height = (int(length) for length in np.ceil(scale * (upper - lower)))
         self.size = (width + 2 * EDGE, height + CAPTION + EDGE)
@@ -80,10 +81,13 @@ class Animator:
         canvas = RasterCanvas.blank(*self.size, FINENESS)
         for climb, phase in zip(self._climbs, phases, strict=True):
             paint_support(canvas, self._view, climb, phase)
-        paint_wall(canvas, self._view, self._wall, 12.0)
+        for spec in self._scene.scenario.robots:
+            marks.paint_goal_region(canvas, self._view, spec)
+        paint_wall(canvas, self._view, self._scene.wall)
+        paint_numbers(canvas, self._view, self._scene.wall, 12.0)
         canvas.polygon(corners(self._view), None, stroke=FAINT)
         right = self.size[0] - EDGE
-        canvas.text((EDGE, 14.0), self._name, 14.0, INK, "start", bold=True)
+        canvas.text((EDGE, 14.0), self._scene.title, 14.0, INK, "start", bold=True)
         words = (climb.describe(phase) for climb, phase in zip(self._climbs, phases, strict=True))
         canvas.text((EDGE, 32.0), "      ".join(words), 13.0, INK, "start")
         if self._speed != 1.0:
@@ -118,9 +122,14 @@ class Animator:
         return Frame(self._backdrop, (((left, top), moving), ((self.size[0] - EDGE - CLOCK[0], 0), clock.image)))
 
 
-def draw_animation(wall: Wall, climbs: Sequence[Replay], name: str, path: str | Path) -> None:
-    """Writes the animation of a climb as a GIF, whole or not at all."""
-    reel = Reel.of(climbs)
-    animator = Animator(wall, climbs, name, reel.speed)
+def draw_animation(plan: Plan | Scene, path: str | Path) -> None:
+    """Writes the animation of a climb as a GIF, whole or not at all.
+
+    Raises:
+        ClimberError: If the plan's scenario, or a robot's model, cannot be read or does not go with the plan.
+    """
+    scene = plan if isinstance(plan, Scene) else Scene.of(plan)
+    reel = Reel.of(scene)
+    animator = Animator(scene, reel.speed)
     frames = [animator.frame(time) for time in reel.times]
     write_gif(path, frames, [FRAME_TIME] * (len(frames) - 1) + [LAST_FRAME_TIME])

@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal, Protocol
-from xml.sax.saxutils import escape, quoteattr
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,8 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 from climber.stance import Vector
 
 Anchor = Literal["start", "middle", "end"]
+
+HALO = "#ffffff"
 
 
 @dataclass(frozen=True)
@@ -84,9 +86,16 @@ class Canvas(Protocol):
         """A circle; `alpha` applies to the fill."""
 
     def text(
-        self, at: ArrayLike, text: str, size: float, color: str, anchor: Anchor = "middle", bold: bool = False
+        self,
+        at: ArrayLike,
+        text: str,
+        size: float,
+        color: str,
+        anchor: Anchor = "middle",
+        bold: bool = False,
+        halo: bool = False,
     ) -> None:
-        """One line of text, vertically centred on `at`."""
+        """One line of text, vertically centred on `at`; with a halo it can be read on any ground."""
 
     def group(self, title: str) -> AbstractContextManager[None]:
         """What is drawn inside belongs together and is called `title`."""
@@ -141,15 +150,24 @@ class SvgCanvas:
         )
 
     def text(
-        self, at: ArrayLike, text: str, size: float, color: str, anchor: Anchor = "middle", bold: bool = False
+        self,
+        at: ArrayLike,
+        text: str,
+        size: float,
+        color: str,
+        anchor: Anchor = "middle",
+        bold: bool = False,
+        halo: bool = False,
     ) -> None:
         """One line of text."""
         x, y = np.asarray(at, dtype=float)
-        # Not every viewer knows dominant-baseline; capitals are about 0.7 em tall.
-        self._elements.append(
-            f'<text x="{_number(x)}" y="{_number(y + 0.35 * size)}" font-size="{_number(size)}" fill="{color}" '
-            f'text-anchor="{anchor}"{" font-weight=" + quoteattr("bold") if bold else ""}>{escape(text)}</text>'
-        )
+        # Neither dominant-baseline nor paint-order is known to every viewer; capitals are about 0.7 em tall.
+        place = f'x="{_number(x)}" y="{_number(y + 0.35 * size)}" font-size="{_number(size)}" text-anchor="{anchor}"'
+        weight = ' font-weight="bold"' if bold else ""
+        words = f"{weight}>{escape(text)}</text>"
+        if halo:
+            self._elements.append(f'<text {place} fill="none" stroke="{HALO}" stroke-width="3"{words}')
+        self._elements.append(f'<text {place} fill="{color}"{words}')
 
     @contextmanager
     def group(self, title: str) -> Iterator[None]:
@@ -249,13 +267,24 @@ class RasterCanvas:
         )
 
     def text(
-        self, at: ArrayLike, text: str, size: float, color: str, anchor: Anchor = "middle", bold: bool = False
+        self,
+        at: ArrayLike,
+        text: str,
+        size: float,
+        color: str,
+        anchor: Anchor = "middle",
+        bold: bool = False,
+        halo: bool = False,
     ) -> None:
         """One line of text."""
         x, y = self._fine(at)
         font, place = _font(size * self.fineness), {"start": "lm", "middle": "mm", "end": "rm"}[anchor]
-        for shift in (0.0, 0.5 * self.fineness) if bold else (0.0,):  # the font that Pillow brings has one weight
-            self._draw.text((x + shift, y), text, fill=_color(color, 1.0), font=font, anchor=place)
+        ink, shifts = _color(color, 1.0), (0.0, 0.5 * self.fineness) if bold else (0.0,)
+        if halo:
+            light = _color(HALO, 1.0)
+            self._draw.text((x, y), text, fill=light, font=font, anchor=place, stroke_width=round(1.5 * self.fineness))
+        for shift in shifts:  # the font that comes with Pillow has one weight only
+            self._draw.text((x + shift, y), text, fill=ink, font=font, anchor=place)
 
     def group(self, title: str) -> AbstractContextManager[None]:
         """Images know no groups."""

@@ -55,9 +55,10 @@ class Palette:
         self.colors: Pixels = means.round().astype(np.uint8)
         every = np.arange(1 << 15)
         middles = 8.0 * np.stack([every >> 10, every >> 5 & 31, every & 31], axis=1) + 3.5
-        # |a - b|^2 less |a|^2, which does not change which b is nearest
-        distance = (means**2).sum(axis=1) - 2.0 * middles @ means.T
-        self._nearest: Pixels = distance.argmin(axis=1).astype(np.uint8)
+        squares = (means**2).sum(axis=1)
+        # |a - b|^2 less |a|^2, which does not change which b is nearest; in pieces that stay in the cache
+        nearest = [(squares - 2.0 * part @ means.T).argmin(axis=1) for part in np.split(middles, 64)]
+        self._nearest: Pixels = np.concatenate(nearest).astype(np.uint8)
         self._nearest[most] = np.arange(len(most))
 
     def indices(self, picture: Image.Image) -> Pixels:

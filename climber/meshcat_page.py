@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from xml.sax.saxutils import escape
@@ -28,7 +28,9 @@ from shapely.geometry import Polygon
 
 from climber.files import write_text
 from climber.picture import BAND_ALL, BAND_HOLDING, CONES, OBSTACLE, bounds, rock, wedge
+from climber.plan_file import Plan
 from climber.replay import Replay
+from climber.scene import Scene
 from climber.stance import Vector
 from climber.wall import Wall
 
@@ -100,18 +102,20 @@ def _add_wall(meshcat: Meshcat, wall: Wall, lower: Vector, upper: Vector) -> Non
 class _Stage:
     """The robots of a climb in a diagram of their own, and the markers that go with them."""
 
-    def __init__(self, meshcat: Meshcat, climbs: Sequence[Replay]) -> None:
-        self._meshcat, self._climbs = meshcat, climbs
+    def __init__(self, meshcat: Meshcat, scene: Scene) -> None:
+        self._meshcat, self._climbs, self._start = meshcat, scene.climbs, scene.start
         builder = DiagramBuilder()
         self._plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-        self._instances = [climb.robot.model.add_to(self._plant, scene_graph, climb.plan.name) for climb in climbs]
+        self._instances = [
+            climb.robot.model.add_to(self._plant, scene_graph, climb.plan.name) for climb in scene.climbs
+        ]
         self._plant.Finalize()
         params = MeshcatVisualizerParams()
         params.prefix, params.enable_alpha_slider = ROOT + "/robots", False
         MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, params)
         self._diagram = builder.Build()
         self._context = self._diagram.CreateDefaultContext()
-        for i in range(len(climbs)):
+        for i in range(len(scene.climbs)):
             meshcat.SetObject(self._center(i), Sphere(CENTER_RADIUS), rgba(CENTER_COLOR))
 
     @staticmethod
@@ -125,19 +129,9 @@ class _Stage:
             moment = climb.at(time)
             self._plant.SetPositions(context, instance, moment.q)
             center = climb.outline(moment).center_of_mass + IN_FRONT
-            self._meshcat.SetTransform(self._center(i), RigidTransform(center), time - self.start)
-        self._context.SetTime(time - self.start)
+            self._meshcat.SetTransform(self._center(i), RigidTransform(center), time - self._start)
+        self._context.SetTime(time - self._start)
         self._diagram.ForcedPublish(self._context)
-
-    @property
-    def start(self) -> float:
-        """When the climb begins [s]."""
-        return min(climb.start for climb in self._climbs)
-
-    @property
-    def end(self) -> float:
-        """When the climb ends [s]."""
-        return max(climb.end for climb in self._climbs)
 
 
 def _add_support(meshcat: Meshcat, climb: Replay, robot: int, lower: Vector, upper: Vector, start: float) -> None:
@@ -176,29 +170,29 @@ def _quiet() -> Iterator[None]:
         logger.setLevel(level)
 
 
-def meshcat_page(wall: Wall, climbs: Sequence[Replay], name: str) -> str:
+def meshcat_page(scene: Scene) -> str:
     """The page's HTML.
 
     Raises:
         RuntimeError: If no port of this machine can be listened on, which Meshcat insists on.
     """
-    lower, upper = bounds(wall, [climb.reached for climb in climbs], margin=0.1)
+    lower, upper = bounds(scene.wall, scene.covered, margin=0.1)
     params = MeshcatParams()
     params.host, params.port, params.show_stats_plot = "localhost", 0, False
     with _quiet():
         meshcat = Meshcat(params)
-    X_GW = wall_pose(wall, float(lower[1]))
+    X_GW = wall_pose(scene.wall, float(lower[1]))
     meshcat.SetTransform(ROOT, X_GW)
     meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.97])
     meshcat.SetProperty("/Background", "bottom_color", [1.0, 1.0, 1.0])
     meshcat.SetProperty("/Axes", "visible", False)
-    _add_wall(meshcat, wall, lower, upper)
-    stage = _Stage(meshcat, climbs)
+    _add_wall(meshcat, scene.wall, lower, upper)
+    stage = _Stage(meshcat, scene)
     meshcat.StartRecording(FRAMES_PER_SECOND, set_visualizations_while_recording=False)
-    for frame in range(round(FRAMES_PER_SECOND * (stage.end - stage.start)) + 1):
-        stage.show(stage.start + frame / FRAMES_PER_SECOND)
-    for robot, climb in enumerate(climbs):
-        _add_support(meshcat, climb, robot, lower, upper, stage.start)
+    for frame in range(round(FRAMES_PER_SECOND * (scene.end - scene.start)) + 1):
+        stage.show(scene.start + frame / FRAMES_PER_SECOND)
+    for robot, climb in enumerate(scene.climbs):
+        _add_support(meshcat, climb, robot, lower, upper, scene.start)
     recording = meshcat.get_mutable_recording()
     recording.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
     meshcat.PublishRecording()
@@ -206,8 +200,8 @@ def meshcat_page(wall: Wall, climbs: Sequence[Replay], name: str) -> str:
     middle = np.append((lower + upper) / 2.0, 0.0)
     away = max(0.9 * (upper - lower)[1], 0.55 * (upper - lower)[0])
     meshcat.SetCameraPose(X_GW.multiply(middle + away * np.array([0.1, 0.12, 1.0])), X_GW.multiply(middle))
-    html: str = meshcat.StaticHtml().replace("<title>Drake MeshCat</title>", f"<title>{escape(name)}</title>", 1)
-    return html.replace("<body>", "<body>\n" + _caption(name), 1)
+    html: str = meshcat.StaticHtml().replace("<title>Drake MeshCat</title>", f"<title>{escape(scene.title)}</title>", 1)
+    return html.replace("<body>", "<body>\n" + _caption(scene.title), 1)
 
 
 def _caption(name: str) -> str:
@@ -225,6 +219,10 @@ def _caption(name: str) -> str:
     return f'<div style="{place}"><b style="font-size:16px">{escape(name)}</b>{rows}</div>\n'
 
 
-def draw_page(wall: Wall, climbs: Sequence[Replay], name: str, path: str | Path) -> None:
-    """Writes the page of a climb, whole or not at all."""
-    write_text(path, meshcat_page(wall, climbs, name))
+def draw_page(plan: Plan | Scene, path: str | Path) -> None:
+    """Writes the Meshcat page of a climb, whole or not at all.
+
+    Raises:
+        ClimberError: If the plan's scenario, or a robot's model, cannot be read or does not go with the plan.
+    """
+    write_text(path, meshcat_page(plan if isinstance(plan, Scene) else Scene.of(plan)))

@@ -21,7 +21,7 @@ INK, PAPER, FAINT, GRID = "#22262d", "#ffffff", "#8b929c", "#e6e9ed"
 ROCK, ROCK_EDGE, OBSTACLE = "#b9bec6", "#6b727c", "#7d858f"
 CONES = {"friction": "#d9a02b", "pin": "#3f9193", "magnet": "#8c5cb5"}
 CONE_FILLS = {"friction": "#fbe3a9", "pin": "#c3e3e3", "magnet": "#dfcbee"}
-GOAL, AVOID, WAYPOINT, FORCE, FOOT_PATH = "#1f9d55", "#cf3a3a", "#0f8b8d", "#c2185b", "#6a2fb0"
+GOAL, AVOID, WAYPOINT, FORCE, FOOT_PATH = "#b5179e", "#cf3a3a", "#0f8b8d", "#9b1030", "#5a2ca0"
 # Light: where the centre of mass may be with every limb in contact. Dark: with the limbs that hold during a swing.
 BAND_ALL, BAND_HOLDING, BAND_ALPHA = "#a9cdf0", "#4d8fd1", 0.55
 
@@ -102,16 +102,6 @@ def paint_obstacles(canvas: Canvas, view: View, obstacles: Iterable[BaseGeometry
                 canvas.polygon(view(corners), OBSTACLE, 0.75, stroke=ROCK_EDGE, width=1.2)
 
 
-def paint_hold(canvas: Canvas, view: View, wall: Wall, number: int, size: float) -> None:
-    """One hold: body, patch, friction cone, and its number in letters of `size` [px]."""
-    hold, tangent = wall.holds[number], wall.tangents[number]
-    with canvas.group(f"hold {number}: {hold.grip}, friction {hold.friction:g}"):
-        paint_hold_shape(canvas, view, hold, tangent)
-        center, behind = view(hold.position), np.array([-hold.normal[0], hold.normal[1]])
-        depth = float(np.ptp(rock(hold, tangent) @ np.array(hold.normal[:2])))
-        canvas.text(center + behind * (depth * view.scale + 0.75 * size), str(number), size, INK, bold=True)
-
-
 def paint_hold_shape(canvas: Canvas, view: View, hold: Hold, tangent: Vector) -> None:
     """A hold without its number; `tangent` runs along its patch in W, shape (3,)."""
     canvas.polygon(view(wedge(hold)), CONE_FILLS[hold.grip], 0.85, stroke=CONES[hold.grip], width=0.8)
@@ -120,11 +110,21 @@ def paint_hold_shape(canvas: Canvas, view: View, hold: Hold, tangent: Vector) ->
     canvas.line(view(patch), INK, max(1.4, 0.0035 * view.scale))
 
 
-def paint_wall(canvas: Canvas, view: View, wall: Wall, size: float) -> None:
-    """Obstacles and holds; hold numbers in letters of `size` [px]."""
+def paint_wall(canvas: Canvas, view: View, wall: Wall) -> None:
+    """Obstacles and holds, without their numbers."""
     paint_obstacles(canvas, view, wall.obstacles)
-    for number in range(len(wall.holds)):
-        paint_hold(canvas, view, wall, number, size)
+    for number, hold in enumerate(wall.holds):
+        with canvas.group(f"hold {number}: {hold.grip}, friction {hold.friction:g}"):
+            paint_hold_shape(canvas, view, hold, wall.tangents[number])
+
+
+def paint_numbers(canvas: Canvas, view: View, wall: Wall, size: float, clear: float = 0.0) -> None:
+    """The holds' numbers behind their patches in letters of `size` [px], at least `clear` [m] away."""
+    for number, hold in enumerate(wall.holds):
+        depth = float(np.ptp(rock(hold, wall.tangents[number]) @ np.array(hold.normal[:2])))
+        away = max(depth, clear) * view.scale + 0.75 * size
+        at = view(hold.position) + away * np.array([-hold.normal[0], hold.normal[1]])
+        canvas.text(at, str(number), size, INK, bold=True, halo=True)
 
 
 def paint_band(canvas: Canvas, view: View, interval: Vector, color: str, alpha: float) -> None:
@@ -183,7 +183,8 @@ def tick_step(length: float) -> float:
 def paint_axes(canvas: Canvas, view: View, size: float) -> None:
     """A grid, a frame and ticks in metres around the view, labels in letters of `size` [px]."""
     lower, upper = np.array(view.lower), np.array(view.upper)
-    step = tick_step(float(max(upper - lower)))
+    short, long = np.sort(upper - lower)
+    step = max(tick_step(float(short)), tick_step(float(long) / 2.5))
     decimals = max(0, int(-np.floor(np.log10(step) + 1e-9)))
     with canvas.group("axes in metres"):
         for axis in (0, 1):
@@ -193,7 +194,7 @@ def paint_axes(canvas: Canvas, view: View, size: float) -> None:
                 begin, end = view(ends)
                 canvas.line([begin, end], GRID, 1.0)
                 at = begin + (np.array([0.0, 1.1 * size]) if axis == 0 else np.array([-0.5 * size, 0.0]))
-                canvas.text(at, f"{value + 0.0:.{decimals}f}", size, INK, "middle" if axis == 0 else "end")
+                canvas.text(at, f"{round(value, 9) + 0.0:.{decimals}f}", size, INK, "middle" if axis == 0 else "end")
         canvas.polygon(corners(view), None, stroke=FAINT, width=1.0)
         canvas.text((view.left + view.width / 2.0, view.bottom + 2.6 * size), "x [m]", size, INK)
         canvas.text((view.left - 0.5 * size, view.bottom - view.height - 0.9 * size), "y [m]", size, INK)

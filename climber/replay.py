@@ -89,6 +89,7 @@ class Replay:
         forces = {
             contact.limb: (np.asarray(contact.point, dtype=float), between(phase.force[contact.limb]))
             for contact in phase.contacts
+            if contact.limb in phase.force
         }
         return Moment(place, between(phase.q)[self._columns], forces)
 
