@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -33,26 +33,31 @@ Stage = Literal["transition", "motion", "torque"]
 
 
 @dataclass(frozen=True)
-class Budget:
+class MotionBudget:
     """What motion planning may spend on one climb.
 
     Attributes:
-        rounds: Pelvis poses drawn in successive rounds while looking for a posture.
+        samples: Pelvis poses drawn at most while looking for a posture.
         postures: Candidate postures kept for each instant.
         attempts: Pairs of postures tried for one phase before its move is given up.
-        search: How hard RRT-Connect tries.
+        iterations: Samples that RRT-Connect draws for one pair.
         pace: Share of the joint rate limits that a motion uses when nothing else slows it.
         rate: Samples per second [Hz].
         slowest: A phase is not slowed beyond this duration [s].
     """
 
-    rounds: tuple[int, ...] = (500, 4_000, 20_000)
+    samples: int = 20_000
     postures: int = 24
     attempts: int = 12
-    search: Search = field(default_factory=Search)
+    iterations: int = 400
     pace: float = 0.6
     rate: float = 100.0
     slowest: float = 30.0
+
+    @property
+    def rounds(self) -> tuple[int, ...]:
+        """Pelvis poses drawn in successive rounds: a few settle most cases."""
+        return tuple(n for n in (500, 4_000) if n < self.samples) + (self.samples,)
 
 
 @dataclass(frozen=True)
@@ -112,10 +117,10 @@ class MotionPlanner:
     """
 
     def __init__(
-        self, body: Body, rng: np.random.Generator, budget: Budget | None = None, margins: Margins | None = None
+        self, body: Body, rng: np.random.Generator, budget: MotionBudget | None = None, margins: Margins | None = None
     ) -> None:
         self.body, self.rng = body, rng
-        self.budget, self.margins = budget or Budget(), margins or Margins()
+        self.budget, self.margins = budget or MotionBudget(), margins or Margins()
         self.times = {"transitions": 0.0, "motion": 0.0, "torque": 0.0}
         self._transitions: dict[tuple[tuple[Contact, ...], int], Postures] = {}
 
@@ -318,11 +323,16 @@ class MotionPlanner:
     def _phase(self, phase: _Phase, a: Vector, b: Vector) -> PhaseMotion | MoveFailure:
         """One phase between two postures."""
         manifold = phase.manifold
-        legs = find_path(manifold, a, b, self.rng, self.budget.search)
+        legs = find_path(manifold, a, b, self.rng, Search(self.budget.iterations))
         if legs is None:
-            reason = f"no path among {self.budget.search.iterations} samples of RRT-Connect"
+            reason = f"no path among {self.budget.iterations} samples of RRT-Connect"
             return MoveFailure(phase.move, "motion", Failure("budget", reason))
-        paced = [PacedPath(leg.chart, refine(manifold, leg.chart, leg.u)) for leg in legs]
+        paced = []
+        for leg in legs:
+            curve = refine(manifold, leg.chart, leg.u)
+            if curve is None:
+                return MoveFailure(phase.move, "motion", Failure("budget", "the path found grazes a limit when looked at closely"))
+            paced.append(PacedPath(curve))
         began = clock.perf_counter()
         result = self._timed(phase, paced)
         self.times["torque"] += clock.perf_counter() - began

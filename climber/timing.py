@@ -9,31 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from climber.curve import Curve
 from climber.manifold import Chart
 from climber.stance import Vector
 
 PEAK = 1.875  # greatest rate of the minimum-jerk law, against the mean
-
-
-class Curve(Protocol):
-    """A twice continuously differentiable curve of chart coordinates over s in [0, 1]; arrays run over s first."""
-
-    def u(self, s: Vector) -> Vector:
-        """Chart coordinates, shape (K, num_coordinates)."""
-        ...
-
-    def du(self, s: Vector) -> Vector:
-        """First derivative by s."""
-        ...
-
-    def ddu(self, s: Vector) -> Vector:
-        """Second derivative by s."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -89,10 +73,11 @@ class PacedPath:
         length: sigma at the end [s].
     """
 
-    GRID = 101
+    GRID = 33  # coarse on purpose: a pace that follows every turn of the path jerks
 
-    def __init__(self, chart: Chart, curve: Curve) -> None:
-        self.chart, self._curve = chart, curve
+    def __init__(self, curve: Curve) -> None:
+        self.chart, self._curve = curve.chart, curve
+        chart = curve.chart
         s = np.linspace(0.0, 1.0, self.GRID)
         q, _ = chart.expand(curve.u(s))
         dq, _ = _rates(chart, q, curve.du(s))
@@ -101,17 +86,26 @@ class PacedPath:
             limits[limb.v] = limb.velocity
         limits = np.where(np.isfinite(limits), limits, 10.0)
         # A smooth stand-in for the largest share of its limit that any joint uses.
-        pace = (np.abs(dq / limits) ** 8).sum(axis=1) ** (1 / 8) + 1e-9
-        sigma = np.append(0.0, np.cumsum((pace[1:] + pace[:-1]) / 2 * np.diff(s)))
+        share = (np.abs(dq / limits) ** 4).sum(axis=1) ** (1 / 4)
         # Crawl rather than jump where the path hardly moves the joints.
-        sigma += 0.02 * sigma[-1] * s
-        self.length = float(sigma[-1])
-        self._s = CubicSpline(sigma, s)
+        pace = CubicSpline(s, share + 0.05 * share.mean() + 1e-9)
+        self._sigma, self._pace, self._pace_rate = pace.antiderivative(), pace, pace.derivative()
+        self._grid = s, self._sigma(s)
+        self.length = float(self._sigma(1.0))
+
+    def _place(self, sigma: Vector) -> Vector:
+        """The s at which the path has come as far as `sigma`, shape (K,)."""
+        s, known = self._grid
+        guess: Vector = np.interp(sigma, known, s)
+        for _ in range(4):  # Newton; the pace is smooth and positive
+            guess = np.clip(guess - (self._sigma(guess) - sigma) / self._pace(guess), 0.0, 1.0)
+        return guess
 
     def at(self, sigma: Vector, rate: Vector, acceleration: Vector) -> tuple[Vector, Vector, Vector]:
         """Positions, velocities and accelerations at sigma, its rate and its acceleration, each of shape (K,)."""
-        s = np.clip(self._s(sigma), 0.0, 1.0)
-        first, second = self._s(sigma, 1), self._s(sigma, 2)
+        s = self._place(sigma)
+        first = 1 / self._pace(s)
+        second = -self._pace_rate(s) * first**3
         ds, dds = first * rate, second * rate**2 + first * acceleration
         du, ddu = self._curve.du(s), self._curve.ddu(s)
         q, _ = self.chart.expand(self._curve.u(s))

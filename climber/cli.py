@@ -1,0 +1,228 @@
+"""The command line: `climber solve | verify | draw | robot`.
+
+Exit codes: 0 all is well, 1 the answer is no (no climb found, a check failed), 2 the input is at fault.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from climber.exceptions import ClimberError, NoPlanFound
+
+OK, NO, BAD_INPUT = 0, 1, 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one command and returns its exit code."""
+    options = _parser().parse_args(arguments)
+    errors = Console(stderr=True, highlight=False, soft_wrap=True)
+    try:
+        result: int = options.run(options)
+        return result
+    except NoPlanFound as answer:
+        if options.json:
+            print(json.dumps({"ok": False, "proved": answer.proved, "reason": str(answer), "counts": answer.counts}))
+        errors.print(f"[bold]no plan[/bold]: {answer}", markup=True)
+        return NO
+    except ClimberError as error:
+        errors.print(f"error: {error}", style="red", markup=False)
+        return BAD_INPUT
+    except OSError as error:
+        errors.print(f"error: {error.filename or ''}: {error.strerror or error}", style="red", markup=False)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        errors.print("interrupted; nothing was written", style="red")
+        return BAD_INPUT
+
+
+def _parser() -> argparse.ArgumentParser:
+    from climber import __version__
+
+    parser = argparse.ArgumentParser(prog="climber", description="Plans free climbs of multi-limbed robots.")
+    parser.add_argument("--version", action="version", version=f"climber {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    solve = commands.add_parser("solve", help="plan the climb of a scenario")
+    solve.add_argument("scenario", help="scenario file, or the name of one that comes with climber, such as basic")
+    solve.add_argument("--out", type=Path, required=True, help="folder for plan.json and the pictures")
+    solve.add_argument("--seed", type=_natural, help="instead of the scenario's")
+    solve.add_argument("--time-limit", type=_positive, metavar="S", help="instead of the scenario's [s]")
+    solve.add_argument("--no-pictures", action="store_true", help="write plan.json only")
+    solve.set_defaults(run=_solve)
+
+    verify = commands.add_parser("verify", help="re-check a plan file from nothing")
+    verify.add_argument("plan", type=Path)
+    verify.set_defaults(run=_verify)
+
+    draw = commands.add_parser("draw", help="draw the pictures of a plan file")
+    draw.add_argument("plan", type=Path)
+    draw.add_argument("--out", type=Path, help="folder for the pictures; the plan's own by default")
+    draw.set_defaults(run=_draw)
+
+    robot = commands.add_parser("robot", help="show what is read from a robot model")
+    robot.add_argument("model", help="URDF or SDF file, or package://climber/...")
+    robot.set_defaults(run=_robot)
+
+    for command in (solve, verify, draw, robot):
+        command.add_argument("--json", action="store_true", help="print the result as JSON")
+    return parser
+
+
+def _natural(text: str) -> int:
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"{text}: a whole number, 0 or greater")
+    return number
+
+
+def _positive(text: str) -> float:
+    number = float(text)
+    if not 0.0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text}: a number of seconds, greater than 0")
+    return number
+
+
+def _solve(options: argparse.Namespace) -> int:
+    from climber.plan import plan_climb
+    from climber.scenario import load_scenario
+
+    began = time.perf_counter()
+    # What a program reads goes to stdout alone; what a person watches then goes to stderr.
+    console = Console(stderr=options.json, highlight=False, soft_wrap=True)
+    scenario = load_scenario(options.scenario)
+    with console.status(f"planning {scenario.name} ...") as status:
+
+        def report(message: str) -> None:
+            console.print(f"  {message}", style="dim", markup=False)
+            status.update(f"planning {scenario.name} ...")
+
+        plan = plan_climb(scenario, seed=options.seed, time_limit=options.time_limit, report=report)
+        written = [options.out / "plan.json"]
+        plan.save(written[0])
+        if not options.no_pictures:
+            status.update("drawing ...")
+            written += _pictures(plan, options.out)
+    robot = plan.robots[0]
+    seconds = time.perf_counter() - began
+    if options.json:
+        facts: dict[str, Any] = {
+            "ok": True,
+            "moves": robot.moves,
+            "cost": robot.cost,
+            "duration": round(robot.duration, 3),
+            "cuts": len(robot.cuts),
+            "proofs": robot.proofs,
+            "counts": robot.counts,
+            "timings": plan.timings,
+            "seconds": round(seconds, 2),
+            "files": [str(path) for path in written],
+        }
+        print(json.dumps(facts))
+        return OK
+    console.print(
+        f"[bold]{scenario.name}[/bold]: {robot.moves} moves of cost {robot.cost:g}, {robot.duration:.1f} s of motion, "
+        f"{len(robot.cuts)} moves cut, found in {plan.timings['total']:.1f} s"
+    )
+    for limbs in _told(robot.stances):
+        console.print(f"  {limbs}", style="dim", markup=False)
+    console.print(f"wrote {', '.join(str(path) for path in written)}")
+    return OK
+
+
+def _told(stances: Sequence[dict[str, int]]) -> list[str]:
+    """Each move in words."""
+    lines = []
+    for number, (before, after) in enumerate(zip(stances, stances[1:], strict=False), start=1):
+        for limb in before:
+            if before[limb] != after[limb]:
+                lines.append(f"{number:3d}. {limb.replace('_', ' ')} from hold {before[limb]} to hold {after[limb]}")
+    return lines
+
+
+def _pictures(plan: Any, folder: Path) -> list[Path]:
+    from climber.draw import draw_all
+
+    return list(draw_all(plan, folder))
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from climber.verify import verify
+
+    verdict = verify(options.plan)
+    if options.json:
+        print(verdict.to_json())
+    else:
+        Console(highlight=False).print(verdict)
+    return OK if verdict.ok else NO
+
+
+def _draw(options: argparse.Namespace) -> int:
+    from climber.plan_file import Plan
+
+    written = _pictures(Plan.load(options.plan), options.out or options.plan.parent)
+    if options.json:
+        print(json.dumps({"files": [str(path) for path in written]}))
+    else:
+        Console(highlight=False, soft_wrap=True).print(f"wrote {', '.join(str(path) for path in written)}")
+    return OK
+
+
+def _robot(options: argparse.Namespace) -> int:
+    from climber.robot import Robot
+
+    robot = Robot(options.model)
+    names = robot.limb_names
+    if options.json:
+        facts = {
+            "name": robot.name,
+            "mass": robot.mass,
+            "planar": robot.planar,
+            "positions": list(robot.position_names),
+            "limbs": [
+                {
+                    "name": limb.name,
+                    "foot": limb.foot,
+                    "reach": limb.reach,
+                    "joints": list(limb.joints),
+                    "lower": limb.lower.tolist(),
+                    "upper": limb.upper.tolist(),
+                    "velocity": limb.velocity.tolist(),
+                    "effort": limb.effort.tolist(),
+                }
+                for limb in robot.limbs
+            ],
+            "symmetries": [[names[i] for i in symmetry] for symmetry in robot.symmetries],
+        }
+        print(json.dumps(facts))
+        return OK
+    console = Console(highlight=False)
+    base = "moves in the wall plane" if robot.planar else "floats freely"
+    console.print(f"[bold]{robot.name}[/bold]: {robot.mass:.3g} kg, {len(names)} limbs, its pelvis {base}")
+    table = Table("limb", "joint", "position [rad]", "velocity [rad/s]", "effort [N m]", "reach [m]")
+    for limb in robot.limbs:
+        for i, joint in enumerate(limb.joints):
+            table.add_row(
+                limb.name if i == 0 else "",
+                joint,
+                f"{limb.lower[i]:.3g} to {limb.upper[i]:.3g}",
+                f"{limb.velocity[i]:.3g}",
+                f"{limb.effort[i]:.3g}",
+                f"{limb.reach:.3g}" if i == 0 else "",
+            )
+    console.print(table)
+    for symmetry in robot.symmetries[1:]:
+        console.print("symmetric: " + ", ".join(f"{a} → {names[b]}" for a, b in zip(names, symmetry, strict=True)))
+    return OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())
