@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from climber.picture import (
     paint_wall,
 )
 from climber.plan_file import Plan
+from climber.replay import Moment
 from climber.scene import Scene
 
 FINENESS = 2  # what moves is drawn this many times as large, then reduced
@@ -100,7 +102,21 @@ class Animator:
         phases = tuple(moment.phase for moment in moments)
         if phases != self._phases:
             self._set_backdrop(phases)
-        canvas, drawn = RasterCanvas(self._fine.copy(), FINENESS), []
+        canvas = RasterCanvas(self._fine.copy(), FINENESS)
+        left, top, right, bottom = self.paint_moving(canvas, moments)
+        box = (FINENESS * left, FINENESS * top, FINENESS * right, FINENESS * bottom)
+        moving = canvas.image.reduce(FINENESS, box=box)
+        clock = RasterCanvas.blank(*CLOCK, 1)
+        clock.text((CLOCK[0], 14.0), f"{time:.1f} s", 13.0, INK, "end")
+        return Frame(self._backdrop, (((left, top), moving), ((self.size[0] - EDGE - CLOCK[0], 0), clock.image)))
+
+    def paint_moving(self, canvas: RasterCanvas, moments: Sequence[Moment]) -> tuple[int, int, int, int]:
+        """Robots, forces and centres of mass.
+
+        Returns:
+            The left, upper, right and lower edge of the pixels that may have changed.
+        """
+        drawn = []
         for climb, moment in zip(self._climbs, moments, strict=True):
             outline = climb.outline(moment)
             paint_robot(canvas, self._view, climb.looks, outline, climb.moving(moment.phase))
@@ -115,11 +131,7 @@ class Animator:
         around = self._view(np.vstack(drawn))
         left, top = np.clip(np.floor(around.min(axis=0) - reach), 0, self.size).astype(int).tolist()
         right, bottom = np.clip(np.ceil(around.max(axis=0) + reach), 0, self.size).astype(int).tolist()
-        box = (FINENESS * left, FINENESS * top, FINENESS * right, FINENESS * bottom)
-        moving = canvas.image.reduce(FINENESS, box=box)
-        clock = RasterCanvas.blank(*CLOCK, 1)
-        clock.text((CLOCK[0], 14.0), f"{time:.1f} s", 13.0, INK, "end")
-        return Frame(self._backdrop, (((left, top), moving), ((self.size[0] - EDGE - CLOCK[0], 0), clock.image)))
+        return left, top, right, bottom
 
 
 def draw_animation(plan: Plan | Scene, path: str | Path) -> None:

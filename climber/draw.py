@@ -39,6 +39,7 @@ from climber.scenario import Scenario
 from climber.scene import Scene
 from climber.silhouette import Silhouette
 
+FILES = ("wall.svg", "climb.svg", "climb.gif", "climb.html")
 WALL_WIDTH, WALL_HEIGHT, LEGEND_WIDTH = 760.0, 620.0, 200.0  # [px]
 PANEL_WIDTH, PANEL_HEIGHT = 330.0, 300.0  # the most a snapshot may take [px]
 GAP, TITLE = 14.0, 22.0  # [px]
@@ -66,7 +67,7 @@ def draw_climb(plan: Plan | Scene, path: str | Path) -> None:
     write_text(path, climb_picture(plan if isinstance(plan, Scene) else Scene.of(plan)).document())
 
 
-def draw_all(plan: Plan, folder: str | Path) -> dict[str, Path]:
+def draw_all(plan: Plan, folder: str | Path) -> list[Path]:
     """Writes every picture of a plan: `wall.svg`, `climb.svg`, `climb.gif` and `climb.html`.
 
     Args:
@@ -74,17 +75,17 @@ def draw_all(plan: Plan, folder: str | Path) -> dict[str, Path]:
         folder: Where to, made if it is not there.
 
     Returns:
-        The path of each picture by its name.
+        Their paths.
 
     Raises:
         ClimberError: If the plan's scenario, or a robot's model, cannot be read or does not go with the plan.
     """
     scene = Scene.of(plan)
-    paths = {name: Path(folder) / name for name in ("wall.svg", "climb.svg", "climb.gif", "climb.html")}
-    draw_wall(scene.scenario, paths["wall.svg"])
-    draw_climb(scene, paths["climb.svg"])
-    draw_animation(scene, paths["climb.gif"])
-    draw_page(scene, paths["climb.html"])
+    wall, climb, moving, page = paths = [Path(folder) / name for name in FILES]
+    draw_wall(scene.scenario, wall)
+    draw_climb(scene, climb)
+    draw_animation(scene, moving)
+    draw_page(scene, page)
     return paths
 
 
