@@ -1,16 +1,18 @@
 """Small plans made from first principles, without the planner, for whatever reads plans.
 
-The quadruped stands on four holds, shifts, swings its right front limb to a fifth, and shifts on. Pelvis and feet run
-along straight lines by the minimum-jerk law; joints follow by Newton's method on the plant's Jacobians, velocities and
-accelerations from the contacts' constraints, forces as near as possible to ones well inside the cones, torques from
-the plant's inverse dynamics.
+`step_plan`: the quadruped stands on four holds, shifts, swings its right front limb to a fifth, and shifts on.
+`still_plan`: it stands still. Pelvis and feet run along straight lines by the minimum-jerk law; joints follow by
+Newton's method on the plant's Jacobians, velocities and accelerations from the contacts' constraints, forces as near
+as possible to ones well inside the cones, torques from the plant's inverse dynamics.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import cvxpy
@@ -23,38 +25,74 @@ from climber.stance import Vector
 
 QUADRUPED = "package://climber/quadruped/quadruped.urdf"
 LIMBS = ("right_front", "left_front", "left_rear", "right_rear")
-HOLDS = np.array([[0.13, 0.15], [-0.12, 0.16], [-0.13, -0.14], [0.12, -0.15], [0.14, 0.19], [0.30, 0.30]])
-NORMALS = np.array([[-0.1, 1.0], [0.2, 1.0], [0.1, 1.0], [-0.15, 1.0], [0.0, 1.0], [0.0, 1.0]])
-FRICTION = 0.6
 RATE = 100.0  # [Hz]
-PELVIS = {
-    "start": (0.01, -0.005, 0.05),
-    "lift": (-0.012, 0.004, 0.02),
-    "land": (-0.015, 0.008, 0.0),
-    "end": (0.0, 0.02, -0.03),
-}
+KNEES_OUT = (-0.4, 1.2, 0.4, -1.2, -0.4, 1.2, 0.4, -1.2)
 
-SCENARIO = """\
-name: a step to the right
-description: Four holds, and a fifth for the right front limb.
+
+@dataclass(frozen=True)
+class Ground:
+    """Holds to stand on, all alike but for where they are and how they lean.
+
+    Attributes:
+        positions: Centres of the patches [m], shape (num_holds, 2).
+        normals: Outward normals of any length, shape (num_holds, 2).
+        friction: Coulomb coefficient.
+        min_force: Least force along a cone edge [N].
+        max_force: Greatest force along a cone edge [N].
+    """
+
+    positions: Vector
+    normals: Vector
+    friction: float = 0.6
+    min_force: float = 1.0
+    max_force: float = 20.0
+
+    @property
+    def edges(self) -> Vector:
+        """Cone edges of every hold as columns, shape (num_holds, 2, 2)."""
+        half = np.arctan(self.friction)
+        turn = np.array([[np.cos(half), -np.sin(half)], [np.sin(half), np.cos(half)]])
+        normals = self.normals / np.linalg.norm(self.normals, axis=1, keepdims=True)
+        return np.stack([normals @ turn.T, normals @ turn], axis=2)
+
+    def scenario(self, name: str, robot: str) -> str:
+        """The text of a scenario on this wall, with what it says of its robot."""
+        places = zip(self.positions.tolist(), self.normals.tolist(), strict=True)
+        holds = "\n".join(f"  - {{position: {position}, normal: {normal}}}" for position, normal in places)
+        limits = f"min_force: {self.min_force}, max_force: {self.max_force}, friction: {self.friction}"
+        return f"""\
+name: {name}
 seed: 7
 wall:
   inclination_deg: 90.0
-  hold_defaults: {half_width: 0.01, min_force: 1.0, max_force: 20.0, friction: 0.6}
+  hold_defaults: {{half_width: 0.01, {limits}}}
   holds:
-HOLDS
+{holds}
   obstacles:
-  - circle: {center: [0.0, 0.16], radius: 0.02}
-  - polygon: {vertices: [[0.26, -0.1], [0.40, -0.1], [0.40, 0.1], [0.33, 0.0]]}
+  - circle: {{center: [0.0, 0.16], radius: 0.02}}
+  - polygon: {{vertices: [[0.26, -0.1], [0.40, -0.1], [0.40, 0.1], [0.33, 0.0]]}}
 robots:
 - name: quadruped
-  model: MODEL
-  start: {right_front: 0, left_front: 1, left_rear: 2, right_rear: 3}
+  model: {QUADRUPED}
+  start: {{right_front: 0, left_front: 1, left_rear: 2, right_rear: 3}}
+{robot}"""
+
+
+STEP = Ground(
+    positions=np.array([[0.13, 0.15], [-0.12, 0.16], [-0.13, -0.14], [0.12, -0.15], [0.14, 0.19], [0.30, 0.30]]),
+    normals=np.array([[-0.1, 1.0], [0.2, 1.0], [0.1, 1.0], [-0.15, 1.0], [0.0, 1.0], [0.0, 1.0]]),
+)
+STEP_ROBOT = """\
   goal:
     holds: [1, 2, 3, 4]
-    stance: {right_front: 4}
     pelvis: {circle: {center: [0.0, 0.02], radius: 0.005}}
-  avoid: {holds: [5]}
+  waypoints:
+  - {name: before the swing, pelvis: {circle: {center: [-0.012, 0.004], radius: 0.001}}}
+"""
+STEP_PELVIS = [(0.01, -0.005, 0.05), (-0.012, 0.004, 0.02), (-0.015, 0.008, 0.0), (0.0, 0.02, -0.03)]
+STILL_ROBOT = """\
+  goal:
+    pelvis: {circle: {center: [0.0, 0.0], radius: 0.2}}
 """
 
 
@@ -78,13 +116,12 @@ class Line:
 class Climber:
     """The quadruped, posed and moved by its pelvis and feet."""
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, joints: Sequence[float] = KNEES_OUT) -> None:
         self.robot = robot
         self.context = robot.context()
         self.joints = robot.joint_v  # positions and velocities of this robot have the same places
         self.q = np.zeros(robot.plant.num_positions())
-        # Knees bent outwards.
-        self.q[self.joints] = [-0.4, 1.2, 0.4, -1.2, -0.4, 1.2, 0.4, -1.2]
+        self.q[self.joints] = joints
 
     def _jacobian(self) -> Vector:
         """Of the feet in the plane, limb by limb, shape (2 num_limbs, nv)."""
@@ -142,12 +179,13 @@ class Climber:
         f = wish.ravel() + np.linalg.pinv(carry) @ (needed[self.robot.base_v] - carry @ wish.ravel())
         return f.reshape(-1, 2), (needed - J.T @ f)[self.joints]
 
-    def centered(self, limbs: list[int], cones: Vector) -> Vector:
-        """Static contact forces as deep inside the cones as can be, shape (len(limbs), 2).
+    def centered(self, limbs: list[int], ground: Ground, holds: list[int]) -> Vector:
+        """Static contact forces as far inside their limits as can be, shape (len(limbs), 2).
 
         Args:
             limbs: The limbs that hold.
-            cones: Cone edges under each of them as columns, shape (len(limbs), 2, 2).
+            ground: The holds.
+            holds: The hold that each of them is on.
         """
         plant = self.robot.plant
         plant.SetVelocities(self.context, np.zeros(plant.num_velocities()))
@@ -155,111 +193,140 @@ class Climber:
         rows = [2 * limb + axis for limb in limbs for axis in (0, 1)]
         carry = self._jacobian()[rows][:, self.robot.base_v].T
         edges = np.zeros((2 * len(limbs), 2 * len(limbs)))
-        for i, cone in enumerate(cones):
+        for i, cone in enumerate(ground.edges[holds]):
             edges[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = cone
-        t, least = cvxpy.Variable(2 * len(limbs)), cvxpy.Variable()
-        problem = cvxpy.Problem(cvxpy.Maximize(least), [carry @ edges @ t == -gravity, t >= least])
-        problem.solve(solver=cvxpy.CLARABEL)
-        assert least.value > 1.5
+        t, room = cvxpy.Variable(2 * len(limbs)), cvxpy.Variable()
+        inside = [carry @ edges @ t == -gravity, t >= ground.min_force + room, t <= ground.max_force - room]
+        problem = cvxpy.Problem(cvxpy.Maximize(room), inside)
+        problem.solve(solver=cvxpy.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
+        assert room.value > 0.0
         return np.asarray(edges @ t.value).reshape(-1, 2)
 
+    def phase(
+        self,
+        ground: Ground,
+        stance: int,
+        holds: dict[int, int],
+        pelvis: Line,
+        feet: Line,
+        begin: float,
+        duration: float,
+    ) -> Phase:
+        """The phase in which pelvis and feet run along lines.
 
-def _phase(
-    climber: Climber,
-    edges: Vector,
-    number: int,
-    pelvis: Line,
-    feet: tuple[Vector, Vector],
-    begin: float,
-    duration: float,
-) -> Phase:
-    """The phase in which the pelvis runs along a line and the feet from the first to the second places.
+        Args:
+            ground: The holds.
+            stance: The stance it starts in.
+            holds: The hold of each limb that holds; one that is left out swings.
+            pelvis: Where the pelvis goes.
+            feet: Where the feet go [m], shape (num_limbs, 2).
+            begin: When it begins [s].
+            duration: How long it takes [s].
+        """
+        limbs = sorted(holds)
+        count = int(np.ceil(duration * RATE)) + 1
+        self.pose(pelvis.at(0.5, duration)[0], feet.at(0.5, duration)[0])
+        wish = self.centered(limbs, ground, [holds[limb] for limb in limbs])
+        rows = []
+        for tau in np.linspace(0.0, 1.0, count):
+            (x, xd, xdd), (p, pd, pdd) = pelvis.at(tau, duration), feet.at(tau, duration)
+            q = self.pose(x, p)
+            v, vd = self.rates((xd, xdd), (pd, pdd))
+            rows.append((q, v, vd, *self.forces(vd, limbs, wish)))
+        q, v, vd, force, torque = (np.array(column) for column in zip(*rows, strict=True))
+        flat = np.concatenate([force, np.zeros((count, len(limbs), 1))], axis=2)
+        swinging = next((LIMBS[limb] for limb in range(4) if limb not in holds), None)
+        return Phase(
+            kind="swing" if swinging else "shift",
+            limb=swinging,
+            stance=stance,
+            contacts=tuple(PhaseContact(LIMBS[i], holds[i], np.array([*feet.start[i], 0.0])) for i in limbs),
+            time=begin + np.linspace(0.0, duration, count),
+            q=q,
+            v=v,
+            vd=vd,
+            torque=torque,
+            force={LIMBS[limb]: flat[:, place] for place, limb in enumerate(limbs)},
+        )
 
-    Args:
-        climber: Poses the robot.
-        edges: Cone edges of every hold as columns, shape (num_holds, 2, 2).
-        number: Which phase it is; odd ones swing the right front limb.
-        pelvis: Where the pelvis goes.
-        feet: Where the feet are before and after [m], shape (num_limbs, 2) each.
-        begin: When it begins [s].
-        duration: How long it takes [s].
-    """
-    swings = number % 2 == 1
-    holds = [0 if number < 2 else 4, 1, 2, 3]
-    limbs = [i for i in range(4) if i > 0 or not swings]
-    way = Line(*feet)
-    count = int(np.ceil(duration * RATE)) + 1
-    climber.pose(pelvis.at(0.5, duration)[0], way.at(0.5, duration)[0])
-    wish = climber.centered(limbs, edges[[holds[i] for i in limbs]])
-    rows = []
-    for tau in np.linspace(0.0, 1.0, count):
-        (x, xd, xdd), (p, pd, pdd) = pelvis.at(tau, duration), way.at(tau, duration)
-        q = climber.pose(x, p)
-        v, vd = climber.rates((xd, xdd), (pd, pdd))
-        rows.append((q, v, vd, *climber.forces(vd, limbs, wish)))
-    q, v, vd, force, torque = (np.array(column) for column in zip(*rows, strict=True))
-    flat = np.concatenate([force, np.zeros((count, len(limbs), 1))], axis=2)
-    return Phase(
-        kind="swing" if swings else "shift",
-        limb=LIMBS[0] if swings else None,
-        stance=number // 2,
-        contacts=tuple(PhaseContact(LIMBS[i], holds[i], np.array([*feet[0][i], 0.0])) for i in limbs),
-        time=begin + np.linspace(0.0, duration, count),
-        q=q,
-        v=v,
-        vd=vd,
-        torque=torque,
-        force={LIMBS[limb]: flat[:, place] for place, limb in enumerate(limbs)},
+
+def _plan(text: str, robot: Robot, stances: Sequence[Sequence[int]], phases: Sequence[Phase]) -> Plan:
+    named = tuple(dict(zip(LIMBS, stance, strict=True)) for stance in stances)
+    robot_plan = RobotPlan(
+        name="quadruped",
+        model=QUADRUPED,
+        limbs=LIMBS,
+        positions=robot.position_names,
+        velocities=robot.velocity_names,
+        joints=robot.joint_names,
+        moves=len(stances) - 1,
+        cost=60,
+        stances=named,
+        phases=tuple(phases),
+        cuts=(Cut(named[0], LIMBS[1], 5, "out of reach", "proved", "transition"),),
+        counts={"stances": 2, "moves": 1},
+        proofs={"moves": True, "cost": True, "relative_to": "the stance graph less the cuts listed"},
     )
-
-
-def scenario(model: str = QUADRUPED) -> str:
-    """The scenario's text with the holds and the robot's model filled in."""
-    places = zip(HOLDS.tolist(), NORMALS.tolist(), strict=True)
-    holds = "\n".join(f"  - {{position: {position}, normal: {normal}}}" for position, normal in places)
-    return SCENARIO.replace("HOLDS", holds).replace("MODEL", model)
+    return Plan("scenarios/small.yaml", text, 7, (robot_plan,), {"climber": "0.1.0"}, {"total": 1.5})
 
 
 @cache
-def step_plan(model: str = QUADRUPED, duration: float = 0.8) -> Plan:
-    """The plan: shift, swing of the right front limb, shift; each phase lasts `duration` [s]."""
-    robot = Robot(Model.load(model))
+def step_plan(duration: float = 0.8) -> Plan:
+    """A shift, a swing of the right front limb and a shift, each of `duration` [s]."""
+    robot = Robot(Model.load(QUADRUPED))
     climber = Climber(robot)
-    half = np.arctan(FRICTION)
-    turn = np.array([[np.cos(half), -np.sin(half)], [np.sin(half), np.cos(half)]])
-    normals = NORMALS / np.linalg.norm(NORMALS, axis=1, keepdims=True)
-    edges = np.stack([normals @ turn.T, normals @ turn], axis=2)
-    before, after = HOLDS[[0, 1, 2, 3]], HOLDS[[4, 1, 2, 3]]
-    poses = [np.array(PELVIS[name]) for name in ("start", "lift", "land", "end")]
-    feet = [(before, before), (before, after), (after, after)]
-    phases = tuple(
-        _phase(climber, edges, i, Line(poses[i], poses[i + 1]), feet[i], i * duration, duration) for i in range(3)
-    )
-    start = dict(zip(LIMBS, range(4), strict=True))
-    return Plan(
-        scenario_path="scenarios/step.yaml",
-        scenario_text=scenario(model),
-        seed=7,
-        robots=(
-            RobotPlan(
-                name="quadruped",
-                model=model,
-                limbs=LIMBS,
-                positions=robot.position_names,
-                velocities=robot.velocity_names,
-                joints=robot.joint_names,
-                moves=1,
-                cost=60,
-                stances=(start, start | {LIMBS[0]: 4}),
-                phases=phases,
-                cuts=(Cut(start, LIMBS[1], 5, "out of reach", "proved", "transition"),),
-                counts={"stances": 2, "moves": 1},
-                proofs={"moves": True, "cost": True, "relative_to": "the stance graph less the cuts listed"},
-            ),
-        ),
-        software={"climber": "0.1.0"},
-        timings={"total": 1.5},
-    )
+    before, after = STEP.positions[[0, 1, 2, 3]], STEP.positions[[4, 1, 2, 3]]
+    pelvis = [Line(np.array(a), np.array(b)) for a, b in pairwise(STEP_PELVIS)]
+    feet = [Line(before, before), Line(before, after), Line(after, after)]
+    holds = [{0: 0, 1: 1, 2: 2, 3: 3}, {1: 1, 2: 2, 3: 3}, {0: 4, 1: 1, 2: 2, 3: 3}]
+    phases = [climber.phase(STEP, i // 2, holds[i], pelvis[i], feet[i], i * duration, duration) for i in range(3)]
+    return _plan(STEP.scenario("a step", STEP_ROBOT), robot, [(0, 1, 2, 3), (4, 1, 2, 3)], phases)
+
+
+def still_plan(ground: Ground, pelvis: tuple[float, float, float], joints: Sequence[float] = KNEES_OUT) -> Plan:
+    """The robot stands still on the first four holds for three samples.
+
+    Args:
+        ground: The holds.
+        pelvis: Where the pelvis is (x, y, angle) [m, rad].
+        joints: Joint angles near to those it stands with [rad].
+    """
+    robot = Robot(Model.load(QUADRUPED))
+    feet, place = ground.positions[:4], np.array(pelvis)
+    at = {limb: limb for limb in range(4)}
+    phase = Climber(robot, joints).phase(ground, 0, at, Line(place, place), Line(feet, feet), 0.0, 0.02)
+    return _plan(ground.scenario("standing", STILL_ROBOT), robot, [(0, 1, 2, 3)], [phase])
+
+
+# The centre of mass is 0.01 mm inside the support interval.
+AT_THE_EDGE = Ground(
+    positions=np.array([[0.12, 0.15], [-0.12, 0.16], [-0.13, -0.14], [0.12, -0.15]]),
+    normals=np.array([[0.0, 1.0]] * 4),
+    max_force=3.6,
+)
+AT_THE_EDGE_PELVIS = (0.0523069, 0.01, 0.05)
+# The right front foot is 0.02 mm outside the line from the right rear foot to the left front one.
+STRAIGHT = Ground(
+    positions=np.array([[0.08663, -0.036], [0.027, 0.228], [-0.139, -0.205], [0.125, -0.206]]),
+    normals=np.array([[0.0, 1.0]] * 4),
+)
+STRAIGHT_JOINTS = (-0.85, -2.01, -1.08, 0.6, 0.07, -0.28, 0.36, -0.62)
+
+
+def edge_plan() -> Plan:
+    """Standing still, about to fall to the right."""
+    return still_plan(AT_THE_EDGE, AT_THE_EDGE_PELVIS)
+
+
+def straight_plan() -> Plan:
+    """Standing still, three feet almost in line."""
+    return still_plan(STRAIGHT, (0.0, 0.0, -0.02), STRAIGHT_JOINTS)
+
+
+def retold(plan: Plan, old: str, new: str) -> Plan:
+    """The plan with one passage of its scenario's text replaced."""
+    assert plan.scenario_text.count(old) == 1
+    return replace(plan, scenario_text=plan.scenario_text.replace(old, new))
 
 
 def edited(plan: Plan, path: str, value: object) -> str:

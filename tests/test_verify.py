@@ -1,0 +1,363 @@
+"""verify: a good plan passes, and one changed number in its file is found by the check that is there for it."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plans import (
+    AT_THE_EDGE,
+    QUADRUPED,
+    REMOVED,
+    Ground,
+    edge_plan,
+    edited,
+    retold,
+    step_plan,
+    still_plan,
+    straight_plan,
+)
+
+from climber.exceptions import ModelError, PlanFileError
+from climber.plan_file import Plan
+from climber.resources import resolve_model
+from climber.verify import verify
+from climber.verify_rules import RULES
+
+PHASE = "robots/0/phases"
+
+
+def failing(text: str) -> set[str]:
+    """Names of the checks that a plan file fails."""
+    return {check.name for check in verify(Plan.from_json(text)).failures}
+
+
+def plus(amount: float) -> Callable[[float], float]:
+    return lambda value: value + amount
+
+
+def told(old: str, new: str) -> Callable[[str], str]:
+    """A change of the scenario's text."""
+
+    def change(text: str) -> str:
+        assert text.count(old) == 1
+        return text.replace(old, new)
+
+    return change
+
+
+def with_posture() -> Plan:
+    """The step with its start posture in the scenario."""
+    robot = step_plan().robots[0]
+    angles = dict(zip(robot.positions[3:], robot.phases[0].q[0, 3:].tolist(), strict=True))
+    posture = ", ".join(f"{name}: {angle!r}" for name, angle in angles.items())
+    return retold(step_plan(), "  goal:\n", f"  start_posture: {{{posture}}}\n  goal:\n")
+
+
+def with_another_knee(text: str) -> str:
+    """A change of the scenario's text, to another start angle of one knee."""
+    new, count = re.subn(r"left_rear_knee: [^,]+,", "left_rear_knee: -1.3,", text)
+    assert count == 1
+    return new
+
+
+def with_avoided() -> Plan:
+    """The step with a goal that is a region only, and a hold and a region to avoid."""
+    avoid = "  avoid:\n    holds: [5]\n    regions:\n    - circle: {center: [0.0, -0.2], radius: 0.02}\n"
+    return retold(retold(step_plan(), "    holds: [1, 2, 3, 4]\n", ""), "  waypoints:\n", avoid + "  waypoints:\n")
+
+
+def with_a_free_limb_written_down() -> Plan:
+    """The step with the force on the swinging limb, zero, in the file."""
+    robot = step_plan().robots[0]
+    swing = robot.phases[1]
+    swing = replace(swing, force=swing.force | {"right_front": np.zeros((len(swing.time), 3))})
+    return replace(step_plan(), robots=(replace(robot, phases=(robot.phases[0], swing, robot.phases[2])),))
+
+
+def on_a_model(folder: Path, *changes: tuple[str, str]) -> Plan:
+    """The step on a copy of the quadruped's model in which patterns were replaced."""
+    source = resolve_model(QUADRUPED)
+    text = source.read_text()
+    for pattern, new in changes:
+        text, count = re.subn(pattern, new, text, flags=re.DOTALL)
+        assert count >= 1, pattern
+    path = folder / "quadruped.urdf"
+    path.write_text(text)
+    path.with_suffix(".yaml").write_text(source.with_suffix(".yaml").read_text())
+    plan = retold(step_plan(), QUADRUPED, str(path))
+    return replace(plan, robots=(replace(plan.robots[0], model=str(path)),))
+
+
+@pytest.mark.parametrize("make", [step_plan, edge_plan, straight_plan, with_posture, with_avoided])
+def test_a_good_plan_holds(make: Callable[[], Plan]) -> None:
+    verdict = verify(make())
+    assert verdict.ok, str(verdict)
+
+
+def test_a_plan_at_rest_in_other_units_of_the_file_order_still_holds() -> None:
+    """The columns may come in any order, since they are named."""
+    robot = step_plan().robots[0]
+    turn = lambda values: values[:, ::-1]  # noqa: E731
+    phases = tuple(replace(p, q=turn(p.q), v=turn(p.v), vd=turn(p.vd), torque=turn(p.torque)) for p in robot.phases)
+    names = {name: getattr(robot, name)[::-1] for name in ("positions", "velocities", "joints")}
+    assert verify(replace(step_plan(), robots=(replace(robot, phases=phases, **names),))).ok
+
+
+EXACTLY = [
+    ("stances", step_plan, "robots/0/moves", 2),
+    ("phases", step_plan, f"{PHASE}/0/stance", 1),
+    ("phases", step_plan, f"{PHASE}/1/kind", "shift"),
+    ("phases", step_plan, f"{PHASE}/0/limb", "left_front"),
+    ("start stance", step_plan, "scenario/text", told("right_front: 0", "right_front: 4")),
+    ("start posture", with_posture, "scenario/text", with_another_knee),
+    ("goal", step_plan, "scenario/text", told("[1, 2, 3, 4]", "[0, 1, 2, 3]")),
+    ("goal pelvis", step_plan, "scenario/text", told("[0.0, 0.02]", "[0.0, 0.03]")),
+    ("waypoints", step_plan, "scenario/text", told("[-0.012, 0.004]", "[-0.017, 0.004]")),
+    ("avoided", with_avoided, "scenario/text", told("holds: [5]", "holds: [4]")),
+    ("limb order", straight_plan, f"{PHASE}/0/contacts/0/point/0", plus(-5e-5)),
+    ("sampling", step_plan, f"{PHASE}/0/time/0", plus(-1e-7)),
+    ("time", step_plan, f"{PHASE}/1/time/0", plus(1e-6)),
+    ("posture", step_plan, f"{PHASE}/1/q/0/3", plus(1e-8)),
+    ("rest", step_plan, f"{PHASE}/2/v/80/0", plus(2e-6)),
+    ("velocity", step_plan, f"{PHASE}/0/q/40/4", plus(5e-6)),
+    ("acceleration", step_plan, f"{PHASE}/0/vd/40/4", plus(8e-3)),
+    ("patches", step_plan, f"{PHASE}/0/contacts/0/point/1", plus(5e-6)),
+    ("patches", step_plan, f"{PHASE}/0/contacts/0/point/2", plus(5e-6)),
+    ("anchors", step_plan, f"{PHASE}/1/contacts/0/point/0", plus(1e-7)),
+    ("contacts", step_plan, f"{PHASE}/2/contacts/0/point/0", plus(2e-4)),
+    ("obstacle clearance", step_plan, "scenario/text", told("radius: 0.02}", "radius: 0.12}")),
+    ("obstacle clearance", step_plan, "scenario/text", told("[0.33, 0.0]", "[-0.1, -0.13]")),
+    ("obstacle clearance", with_avoided, "scenario/text", told("[0.0, -0.2]", "[0.0, -0.02]")),
+    ("equilibrium", edge_plan, f"{PHASE}/0/contacts/0/point/0", plus(-8e-5)),
+    ("friction", step_plan, "scenario/text", told("max_force: 20.0", "max_force: 6.0")),
+    ("friction", step_plan, "scenario/text", told("min_force: 1.0", "min_force: 2.5")),
+    ("friction", step_plan, f"{PHASE}/1/force/left_rear/40/2", plus(5e-6)),
+    ("free limbs", with_a_free_limb_written_down, f"{PHASE}/1/force/right_front/40/1", 5e-5),
+    ("dynamics at samples", step_plan, f"{PHASE}/1/torque/40/2", plus(0.01)),
+    ("dynamics at samples", step_plan, f"{PHASE}/1/force/left_front/40/0", plus(0.01)),
+]
+
+
+@pytest.mark.parametrize(("check", "make", "path", "value"), EXACTLY)
+def test_one_changed_number_is_found_by_the_check_for_it_and_by_no_other(
+    check: str, make: Callable[[], Plan], path: str, value: object
+) -> None:
+    assert failing(edited(make(), path, value)) == {check}
+
+
+@pytest.mark.parametrize(
+    ("check", "series", "joint", "phase", "limit", "nudge"),
+    [
+        ("joint limits", "q", "left_front_knee", 2, r'lower="[^"]*" upper="[^"]*"', 1e-8),
+        ("speed limits", "v", "right_front_knee", 1, r'velocity="[^"]*"', 1e-8),
+        ("torque limits", "torque", "left_rear_hip", 0, r'effort="[^"]*"', 5e-5),
+    ],
+)
+def test_a_number_just_beyond_what_the_model_allows_is_found(
+    tmp_path: Path, check: str, series: str, joint: str, phase: int, limit: str, nudge: float
+) -> None:
+    """On a model whose limit is just what the plan needs, only the limit's own check sees a little more."""
+    robot = step_plan().robots[0]
+    column = (robot.joints if series == "torque" else robot.positions).index(joint)
+    values = getattr(robot.phases[phase], series)[:, column]
+    row = int(np.argmax(np.abs(values)))
+    most = abs(float(values[row]))
+    new = limit.replace('"[^"]*"', f'"{most!r}"').replace(f'lower="{most!r}"', f'lower="{-most!r}"')
+    plan = on_a_model(tmp_path, (f'(<joint name="{joint}" type="revolute">.*?){limit}', rf"\g<1>{new}"))
+    assert verify(plan).ok
+    beyond = plus(float(np.copysign(nudge, values[row])))
+    assert failing(edited(plan, f"{PHASE}/{phase}/{series}/{row}/{column}", beyond)) == {check}
+
+
+def test_links_that_touch_are_found_on_a_fatter_model(tmp_path: Path) -> None:
+    fat = r'(<collision name="(?:left|right)_rear_thigh_link">.*?capsule radius=)"0.006"'
+    assert failing(on_a_model(tmp_path, (fat, r'\1"0.045"')).to_json()) == {"self clearance"}
+
+
+def test_what_drake_knows_of_a_model_and_verify_does_not_is_noticed(tmp_path: Path) -> None:
+    """A bushing in a knee is beyond verify's own mechanics, so it says that these are not Drake's."""
+    bushing = """<drake:linear_bushing_rpy>
+      <drake:bushing_frameA name="left_rear_foot"/><drake:bushing_frameC name="right_rear_foot"/>
+      <drake:bushing_torque_stiffness value="0 0 0"/><drake:bushing_torque_damping value="0 0 0"/>
+      <drake:bushing_force_stiffness value="1 1 1"/><drake:bushing_force_damping value="0 0 0"/>
+    </drake:linear_bushing_rpy></robot>"""
+    assert failing(on_a_model(tmp_path, ("</robot>", bushing)).to_json()) == {"mechanics"}
+
+
+# Where one wrong number is bound to be seen by several checks, the one for it must be among them.
+SEVERAL = [
+    # A wrong angle moves links and feet, and no velocity leads to it.
+    ("self clearance", {"contacts", "velocity", "dynamics at samples", "dynamics between"}, "q", 5, 2.0),
+    ("joint limits", {"contacts", "velocity", "dynamics at samples", "dynamics between"}, "q", 6, 5.0),
+    ("speed limits", {"velocity", "acceleration", "dynamics at samples"}, "v", 6, 5.0),
+    # A torque that is far off is off between the samples too.
+    ("torque limits", {"dynamics at samples", "dynamics between"}, "torque", 2, 5.0),
+]
+
+
+@pytest.mark.parametrize(("check", "others", "series", "column", "amount"), SEVERAL)
+def test_a_gross_error_is_found_by_its_check_and_by_those_it_is_bound_to_trip(
+    check: str, others: set[str], series: str, column: int, amount: float
+) -> None:
+    found = failing(edited(step_plan(), f"{PHASE}/1/{series}/40/{column}", plus(amount)))
+    assert {check} | others <= found
+
+
+def test_a_wrong_list_entry_is_found() -> None:
+    """Another hold in a stance contradicts the contacts, wherever else it shows."""
+    found = failing(edited(step_plan(), "robots/0/stances/1/right_front", 5))
+    assert found == {"phases", "goal"}
+    assert "stances" in failing(edited(step_plan(), "robots/0/stances/1/right_front", 2))
+    assert "stances" in failing(edited(step_plan(), "robots/0/stances/0/left_rear", 5))
+    assert "phases" in failing(edited(step_plan(), f"{PHASE}/2", REMOVED))
+    assert "phases" in failing(edited(step_plan(), f"{PHASE}/0/contacts/3", REMOVED))
+
+
+def test_every_check_is_tripped_by_a_test_here() -> None:
+    tripped = {case[0] for case in EXACTLY} | {case[0] for case in SEVERAL} | SEVERAL[0][1]
+    assert set(RULES) - tripped == {"mechanics", "robots"}  # these two have tests of their own
+
+
+def test_samples_that_are_too_far_apart_are_found() -> None:
+    robot = step_plan().robots[0]
+    series = ("time", "q", "v", "vd", "torque")
+    phases = []
+    for phase in robot.phases:
+        thinned = {name: getattr(phase, name)[::2] for name in series}
+        phases.append(replace(phase, **thinned, force={limb: force[::2] for limb, force in phase.force.items()}))
+    verdict = verify(replace(step_plan(), robots=(replace(robot, phases=tuple(phases)),)))
+    assert [check.name for check in verdict.failures] == ["sampling"]
+    assert verdict["sampling"].worst == pytest.approx(0.02)
+
+
+def test_acceleration_that_is_not_the_derivative_of_velocity_is_found_however_small_the_forces_are() -> None:
+    """The motion of a plan played half as fast, with the accelerations left as they were."""
+    robot = step_plan().robots[0]
+    phases = tuple(replace(phase, vd=phase.vd * 0.25) for phase in robot.phases)
+    assert "acceleration" in failing(replace(step_plan(), robots=(replace(robot, phases=phases),)).to_json())
+
+
+def test_a_stance_that_cannot_be_held_has_no_margin_to_report() -> None:
+    verdict = verify(retold(step_plan(), "max_force: 20.0", "max_force: 2.0"))
+    assert not verdict["equilibrium"].ok
+    assert verdict["equilibrium"].worst is None
+    assert "empty (infeasible)" in verdict["equilibrium"].where
+    assert "friction" in {check.name for check in verdict.failures}
+    assert json.loads(verdict.to_json())["ok"] is False
+
+
+def test_a_goal_by_limb_is_checked_limb_by_limb() -> None:
+    by_limb = "    stance: {right_front: 4, left_front: 1, left_rear: 2, right_rear: 3}\n"
+    good = retold(step_plan(), "    holds: [1, 2, 3, 4]\n", by_limb)
+    assert verify(good).ok
+    assert failing(
+        retold(good, "left_rear: 2, right_rear: 3}\n    p", "left_rear: 3, right_rear: 2}\n    p").to_json()
+    ) == {"goal"}
+
+
+def test_waypoints_must_come_in_their_order() -> None:
+    first = "  - {name: before the swing, pelvis: {circle: {center: [-0.012, 0.004], radius: 0.001}}}\n"
+    second = "  - {name: at the end, holds: [1, 2, 3, 4]}\n"
+    assert verify(retold(step_plan(), first, first + second)).ok
+    assert failing(retold(step_plan(), first, second + first).to_json()) == {"waypoints"}
+
+
+def test_several_robots_are_not_passed_before_their_meetings_can_be_checked() -> None:
+    aside = np.array([1.0, 0.0, 0.0])
+    positions = np.vstack([AT_THE_EDGE.positions, AT_THE_EDGE.positions + aside[:2]])
+    one = still_plan(Ground(positions, np.array([[0.0, 1.0]] * 8)), (0.0, 0.01, 0.05))
+    assert verify(one).ok
+    first, phase = one.robots[0], one.robots[0].phases[0]
+    contacts = tuple(replace(c, hold=c.hold + 4, point=c.point + aside) for c in phase.contacts)
+    phase = replace(phase, contacts=contacts, q=phase.q + np.eye(11)[0])
+    stance = {limb: hold + 4 for limb, hold in first.stances[0].items()}
+    second = replace(first, name="other", stances=(stance,), phases=(phase,))
+    spec = f"""\
+- name: other
+  model: {QUADRUPED}
+  start: {{right_front: 4, left_front: 5, left_rear: 6, right_rear: 7}}
+  goal: {{pelvis: {{circle: {{center: [1.0, 0.0], radius: 0.2}}}}}}
+"""
+    both = replace(one, scenario_text=one.scenario_text + spec, robots=(first, second))
+    assert failing(both.to_json()) == {"robots"}
+
+
+def test_the_verdict_says_where() -> None:
+    verdict = verify(Plan.from_json(edited(step_plan(), f"{PHASE}/1/torque/40/2", plus(0.01))))
+    check = verdict["dynamics at samples"]
+    assert check.worst == pytest.approx(0.01, rel=1e-3)
+    assert check.where == "quadruped, phase 1 (swing right_front), t = 1.2000 s, left_front_hip"
+    assert (check.limit, check.sense, check.unit) == (1e-4, "at most", "N, N m")
+    near = verify(retold(step_plan(), "radius: 0.02}", "radius: 0.12}"))["obstacle clearance"]
+    assert near.worst is not None and near.worst < -0.01
+    assert "obstacle 0" in near.where and "phase" in near.where
+
+
+def test_the_verdict_reads_as_a_table_and_as_json() -> None:
+    verdict = verify(step_plan())
+    table = str(verdict)
+    data = json.loads(verdict.to_json())
+    assert data["ok"] is True and data["plan"] == "plan"
+    for check in data["checks"]:
+        assert check["name"] in table and check["ok"] is True
+    with pytest.raises(KeyError):
+        verdict["no such check"]
+
+
+def test_a_plan_and_its_file_get_the_same_verdict(tmp_path: Path) -> None:
+    step_plan().save(tmp_path / "plan.json")
+    assert verify(tmp_path / "plan.json").checks == verify(step_plan()).checks
+    assert verify(str(tmp_path / "plan.json")).source == str(tmp_path / "plan.json")
+
+
+def test_verdicts_do_not_depend_on_the_working_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert verify(step_plan()).ok
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "complaint"),
+    [
+        ("scenario/text", "", r"scenario\.text"),
+        ("scenario/text", "wall: [", r"scenario\.text"),
+        ("scenario/text", told("normal: [-0.1, 1.0]", "normal: [0.0, 0.0]"), r"wall\.holds\[0\]\.normal"),
+        ("scenario/text", told("right_rear: 3}", "tail: 3}"), "tail"),
+        ("scenario/text", told(QUADRUPED, "nowhere.urdf"), r"nowhere\.urdf"),
+        ("robots/0/name", "spider", r"robots: the scenario's robots are expected: quadruped"),
+        ("robots/0/model", "package://climber/other.urdf", r"robots\[0\]\.model: the scenario says"),
+        ("robots/0/limbs", ["left_front", "right_front", "left_rear", "right_rear"], r"limbs: the model has .* order"),
+        ("robots/0/positions/0", "x", r"positions: the model has base_x"),
+        ("robots/0/velocities/3", "hip", r"velocities: the model has"),
+        ("robots/0/joints/3", "hip", r"joints: the model has"),
+        ("robots/0/stances/1/left_rear", 6, r"stances\[1\]\.left_rear: the wall has 6 holds"),
+        (f"{PHASE}/2/contacts/1/hold", 17, r"phases\[2\]\.contacts\[1\]\.hold: the wall has 6 holds"),
+    ],
+)
+def test_a_file_that_cannot_be_understood_is_an_error_and_not_a_verdict(
+    path: str, value: object, complaint: str
+) -> None:
+    with pytest.raises(PlanFileError, match=complaint):
+        verify(Plan.from_json(edited(step_plan(), path, value)))
+
+
+def test_a_model_that_drake_cannot_read_is_a_model_error(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="quadruped"):
+        verify(on_a_model(tmp_path, ("<link", "<lnk")))
+
+
+def test_verify_loads_nothing_of_the_planner() -> None:
+    """Whoever checks a plan must not share the mistakes of whoever made it."""
+    command = "import sys, climber.verify; print([m for m in sys.modules if m.startswith('climber.')])"
+    loaded = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True).stdout
+    modules = {name.removeprefix("climber.").split("_")[0] for name in re.findall(r"'([^']+)'", loaded)}
+    files = {"files", "plan", "scenario", "yaml", "resources"}
+    assert modules <= files | {"exceptions", "model", "robot", "stance", "verdict", "verify", "wall"}
+    assert "'climber.plan'" not in loaded
