@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from climber import marks
-from climber.canvas import RasterCanvas
 from climber.gif import Frame, write_gif
 from climber.picture import (
     FAINT,
@@ -28,6 +27,7 @@ from climber.picture import (
     paint_wall,
 )
 from climber.plan_file import Plan
+from climber.raster import RasterCanvas
 from climber.replay import Moment
 from climber.scene import Scene
 

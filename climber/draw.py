@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from climber import legend, marks
 from climber.animation import draw_animation
-from climber.canvas import Canvas, SvgCanvas, View
-from climber.files import write_text
+from climber.canvas import Canvas, View
 from climber.meshcat_page import draw_page
 from climber.picture import (
     BAND_ALL,
@@ -33,38 +32,49 @@ from climber.picture import (
     paint_wall,
 )
 from climber.plan_file import Plan
+from climber.raster import RasterCanvas
 from climber.replay import Replay
 from climber.robot import Model, Robot
 from climber.scenario import Scenario
 from climber.scene import Scene
 from climber.silhouette import Silhouette
+from climber.svg import SvgCanvas
 
 FILES = ("wall.svg", "climb.svg", "climb.gif", "climb.html")
 WALL_WIDTH, WALL_HEIGHT, LEGEND_WIDTH = 760.0, 620.0, 200.0  # [px]
 PANEL_WIDTH, PANEL_HEIGHT = 330.0, 300.0  # the most a snapshot may take [px]
 GAP, TITLE = 14.0, 22.0  # [px]
 
+Surface = Callable[[float, float, str], Canvas]  # makes a canvas of a width and a height [px] with a title
+
+
+def _surface(path: str | Path) -> Surface:
+    """The kind of canvas that a path's suffix asks for."""
+    if Path(path).suffix.lower() == ".png":
+        return lambda width, height, title: RasterCanvas.blank(width, height, fineness=4, zoom=2)
+    return SvgCanvas
+
 
 def draw_wall(scenario: Scenario, path: str | Path) -> None:
-    """Writes the wall of a scenario as SVG, with where the robots start and where they are to go.
+    """Writes the wall of a scenario with where the robots start and where they are to go.
 
     Args:
         scenario: The scenario.
-        path: The file, which appears whole or not at all.
+        path: The file, SVG or PNG by its suffix, which appears whole or not at all.
 
     Raises:
         ModelError: If a robot's model cannot be read.
     """
-    write_text(path, wall_picture(scenario).document())
+    wall_picture(scenario, _surface(path)).save(path)
 
 
 def draw_climb(plan: Plan | Scene, path: str | Path) -> None:
-    """Writes snapshots of a climb as SVG, one for every move; see `climb_picture`.
+    """Writes snapshots of a climb, one for every move, as SVG or PNG; see `climb_picture`.
 
     Raises:
         ClimberError: If the plan's scenario, or a robot's model, cannot be read or does not go with the plan.
     """
-    write_text(path, climb_picture(plan if isinstance(plan, Scene) else Scene.of(plan)).document())
+    climb_picture(plan if isinstance(plan, Scene) else Scene.of(plan), _surface(path)).save(path)
 
 
 def draw_all(plan: Plan, folder: str | Path) -> list[Path]:
@@ -89,7 +99,7 @@ def draw_all(plan: Plan, folder: str | Path) -> list[Path]:
     return paths
 
 
-def wall_picture(scenario: Scenario) -> SvgCanvas:
+def wall_picture(scenario: Scenario, surface: Surface = SvgCanvas) -> Canvas:
     """Holds with friction cones, patches and numbers, obstacles, starts, goals, waypoints, and what to keep off."""
     wall = scenario.build_wall()
     colors = []
@@ -102,19 +112,21 @@ def wall_picture(scenario: Scenario) -> SvgCanvas:
     entries = legend.wall_entries(wall) + marks.entries(scenario.robots, colors)
     left, top = 58.0, 58.0
     tall = max(height + 48.0, 22.0 * len(entries) + GAP)
-    canvas = SvgCanvas(left + width + GAP + LEGEND_WIDTH, top + tall, scenario.name)
+    canvas = surface(left + width + GAP + LEGEND_WIDTH, top + tall, scenario.name)
     canvas.text((left, 20.0), scenario.name, 17.0, INK, "start", bold=True)
     view = fit(lower, upper, left, top, width, height)
     paint_axes(canvas, view, 12.0)
     for spec, limbs in zip(scenario.robots, colors, strict=True):
         marks.paint_marks(canvas, view, wall, spec, limbs)
     paint_wall(canvas, view, wall)
+    for spec in scenario.robots:
+        marks.paint_avoided_holds(canvas, view, wall, spec)
     paint_numbers(canvas, view, wall, 13.0, clear=marks.PLACE_RING)
     legend.paint_column(canvas, entries, left + width + GAP, top)
     return canvas
 
 
-def climb_picture(scene: Scene) -> SvgCanvas:
+def climb_picture(scene: Scene, surface: Surface = SvgCanvas) -> Canvas:
     """Snapshots of a climb: its start, every move at lift-off with the way the foot will go, and its end.
 
     As in Gönen 2021, fig. 5.3, the shaded band is where the centre of mass may lie: lighter with every limb in
@@ -132,7 +144,7 @@ def climb_picture(scene: Scene) -> SvgCanvas:
     rows, width = -(-count // columns), columns * pitch[0] + GAP
     entries = _climb_entries(scene)
     top = 44.0 + legend.paint_row(SvgCanvas(0, 0, ""), entries, GAP, 0.0, width - 2 * GAP)
-    canvas = SvgCanvas(width, top + rows * pitch[1] + GAP, scene.title)
+    canvas = surface(width, top + rows * pitch[1] + GAP, scene.title)
     canvas.text((GAP, 22.0), scene.title, 17.0, INK, "start", bold=True)
     legend.paint_row(canvas, entries, GAP, 40.0, width - 2 * GAP)
 
@@ -183,7 +195,7 @@ def _title(climbs: Sequence[Replay], robot: int, phase: int) -> str:
 
 
 def _snapshot(
-    canvas: SvgCanvas,
+    canvas: Canvas,
     view: View,
     scene: Scene,
     time: float,

@@ -68,7 +68,7 @@ def hold(like: Hold) -> Sign:
     upright = Hold((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), like.friction, 0.01, grip=like.grip)
 
     def paint(canvas: Canvas, at: Vector) -> None:
-        view = View((0.0, 0.0), (0.0, 0.0), at[0], at[1] + 3.0, 330.0)
+        view = View((0.0, 0.0), (0.0, 0.0), at[0], at[1] + 4.0, 270.0)
         paint_hold_shape(canvas, view, upright, np.array([1.0, 0.0, 0.0]))
 
     return paint

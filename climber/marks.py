@@ -31,7 +31,7 @@ def paint_goal_region(canvas: Canvas, view: View, spec: RobotSpec) -> None:
 
 
 def paint_marks(canvas: Canvas, view: View, wall: Wall, spec: RobotSpec, colors: Mapping[str, str]) -> None:
-    """Everything that is asked of one robot; `colors` are those of its limbs by name."""
+    """What is asked of one robot, as goes under the holds; `colors` are those of its limbs by name."""
     for region in spec.avoid.regions:
         _region(canvas, view, region, AVOID, "region to keep out of")
     for number, waypoint in enumerate(spec.waypoints, start=1):
@@ -40,6 +40,10 @@ def paint_marks(canvas: Canvas, view: View, wall: Wall, spec: RobotSpec, colors:
     for limb, hold in spec.start.items():
         with canvas.group(f"{spec.name}: {limb} starts on hold {hold}"):
             canvas.disk(view(wall.positions[hold]), FOOT_RING * view.scale, None, stroke=colors[limb], width=3.0)
+
+
+def paint_avoided_holds(canvas: Canvas, view: View, wall: Wall, spec: RobotSpec) -> None:
+    """Crosses over the holds that one robot must keep off."""
     for hold in spec.avoid.holds:
         with canvas.group(f"{spec.name}: hold {hold} is to be avoided"):
             for slope in (-1.0, 1.0):

@@ -27,7 +27,7 @@ from pydrake.systems.framework import DiagramBuilder
 from shapely.geometry import Polygon
 
 from climber.files import write_text
-from climber.picture import BAND_ALL, BAND_HOLDING, CONES, OBSTACLE, bounds, rock, wedge
+from climber.picture import CONES, OBSTACLE, bounds, rock, wedge
 from climber.plan_file import Plan
 from climber.replay import Replay
 from climber.scene import Scene
@@ -36,7 +36,8 @@ from climber.wall import Wall
 
 FRAMES_PER_SECOND = 30.0
 ROOT = "/climb"  # everything that stands in the wall frame is below this path
-SLAB_COLOR, HOLD_COLOR, CENTER_COLOR, BAND_SHARED = "#eceae4", "#8d939c", "#ffd21f", "#2f6cb0"
+SLAB_COLOR, HOLD_COLOR, CENTER_COLOR = "#eceae4", "#8d939c", "#ffd21f"
+BAND_ALL, BAND_HOLDING, BAND_SHARED = "#bfd9f4", "#93bdea", "#6ba3df"  # lit, they come out stronger than they are
 # The robot moves in z = 0 and the slab is behind it. Front faces, along z in W [m].
 SLAB, CONE, HOLD, OBSTACLE_FRONT = -0.030, -0.026, 0.010, 0.015
 SLAB_DEPTH = 0.02  # [m]

@@ -15,22 +15,24 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, ImageColor
 from plans import step_plan
 from pydrake.math import RigidTransform
 from shapely.geometry import Polygon
 
 from climber import animation, draw, gif, meshcat_page, picture
-from climber.canvas import RasterCanvas, SvgCanvas, View, dashes
+from climber.canvas import Canvas, View, dashes
 from climber.exceptions import PlanFileError
 from climber.plan_file import Plan
 from climber.programs.equilibrium import SupportProgram
+from climber.raster import RasterCanvas
 from climber.replay import Replay
 from climber.robot import Robot
 from climber.scenario import AvoidSpec, Scenario, scenario_from_text
 from climber.scene import Scene
 from climber.silhouette import LIMB_COLORS, Silhouette
 from climber.stance import Contact
+from climber.svg import SvgCanvas
 from climber.wall import Hold, Wall, circle
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -96,6 +98,11 @@ def texts(document: str) -> list[str]:
     return [element.text or "" for element in ElementTree.fromstring(document).iter(SVG + "text")]
 
 
+def document_of(canvas: Canvas) -> str:
+    assert isinstance(canvas, SvgCanvas)
+    return canvas.document()
+
+
 def titles(document: str) -> list[str]:
     return [element.text or "" for element in ElementTree.fromstring(document).iter(SVG + "title")]
 
@@ -112,7 +119,7 @@ def test_wall_shows_every_hold_with_its_number(asked: Scenario, tmp_path: Path) 
 
 
 def test_wall_shows_all_that_is_asked(asked: Scenario) -> None:
-    shown = titles(draw.wall_picture(asked).document())
+    shown = titles(document_of(draw.wall_picture(asked)))
     assert shown.count("obstacle") == 2
     for limb, hold in asked.robots[0].start.items():
         assert f"quadruped: {limb} starts on hold {hold}" in shown
@@ -125,7 +132,7 @@ def test_wall_shows_all_that_is_asked(asked: Scenario) -> None:
 
 
 def test_legend_names_each_kind_that_is_there_and_no_other(asked: Scenario, scene: Scene) -> None:
-    words = texts(draw.wall_picture(asked).document())
+    words = texts(document_of(draw.wall_picture(asked)))
     for word in (
         "hold, friction cone",
         "pin",
@@ -138,12 +145,12 @@ def test_legend_names_each_kind_that_is_there_and_no_other(asked: Scenario, scen
         assert words.count(word) == 1, word
     plain = scene.scenario.robots[0]
     few = replace(scene.scenario, robots=[replace(plain, waypoints=[], avoid=AvoidSpec())])
-    words = texts(draw.wall_picture(few).document())
+    words = texts(document_of(draw.wall_picture(few)))
     assert not {"pin", "hold to avoid", "keep out", "waypoint hold"} & set(words)
 
 
 def test_wall_axes_have_the_same_scale(asked: Scenario) -> None:
-    root = ElementTree.fromstring(draw.wall_picture(asked).document())
+    root = ElementTree.fromstring(document_of(draw.wall_picture(asked)))
     axes = next(group for group in root.iter(SVG + "g") if group[0].text == "axes in metres")
     ticks = [
         (float(e.get("x", 0)), float(e.get("y", 0)), str(e.text), e.get("text-anchor")) for e in axes.iter(SVG + "text")
@@ -194,6 +201,17 @@ def test_climb_has_a_panel_for_the_start_every_move_and_the_end(plan: Plan, tmp_
     assert texts(document).count("3") == 2 * len(panels)  # each number once as halo and once as ink
 
 
+def test_png_is_the_same_picture_as_the_svg(scene: Scene, tmp_path: Path) -> None:
+    draw.draw_climb(scene, tmp_path / "climb.png")
+    canvas = draw.climb_picture(scene)
+    assert isinstance(canvas, SvgCanvas)
+    with Image.open(tmp_path / "climb.png") as image:
+        assert image.size == (2 * np.ceil(canvas.width), 2 * np.ceil(canvas.height))
+        shown = np.unique(np.asarray(image.convert("RGB")).reshape(-1, 3), axis=0)
+    for color in scene.climbs[0].looks.limb_colors:
+        assert (shown == ImageColor.getrgb(color)).all(axis=1).any()
+
+
 def test_support_bands_are_the_intervals_of_the_contacts(scene: Scene) -> None:
     climb = scene.climbs[0]
     for place, phase in enumerate(climb.plan.phases):
@@ -214,7 +232,7 @@ def test_band_is_drawn_where_the_interval_is() -> None:
 
 
 def test_two_robots_share_the_pictures(pair: Scene, tmp_path: Path) -> None:
-    shown = titles(draw.climb_picture(pair).document())
+    shown = titles(document_of(draw.climb_picture(pair)))
     assert "second: move 1 of 1: right front, hold 0 to 4, at 0.70 s" in shown
     assert "end, at 1.50 s" in shown
     draw.draw_page(pair, tmp_path / "climb.html")
