@@ -558,6 +558,16 @@ def test_a_plan_that_does_not_fit_its_scenario_overwrites_nothing(plan: Plan, tm
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("climb.svg", "good")]
 
 
+def test_a_robot_that_is_there_already_is_drawn_too(plan: Plan, tmp_path: Path) -> None:
+    robot = plan.robots[0]
+    stays = replace(robot, moves=0, stances=robot.stances[:1], phases=robot.phases[:1])
+    still = replace(plan, robots=(stays,))
+    for path in draw.draw_all(still, tmp_path):
+        assert path.stat().st_size > 1000
+    panels = [title for title in titles((tmp_path / "climb.svg").read_text()) if re.search(r", at \d", title)]
+    assert panels == ["start, at 0.00 s", f"end, at {DURATION:.2f} s"]
+
+
 def test_the_same_plan_gives_the_same_pictures(plan: Plan, tmp_path: Path) -> None:
     first = draw.draw_all(plan, tmp_path / "a")
     second = draw.draw_all(plan, tmp_path / "b")
