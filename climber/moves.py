@@ -1,0 +1,232 @@
+"""Moves between poses: reachability, stability and cost (Gönen 2021, section 4.2.2 and eqs. 4.19-4.22)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from climber.geometry import TOUCH, Mask, disks_meet, overlap_areas, triangle_fits
+from climber.holdsets import Ints, Places, Releases, later_partners, squared_distance
+from climber.poses import Rotations
+from climber.programs.support import hold_set_intervals
+from climber.stance import Vector
+from climber.wall import Wall
+
+LEAST_WIDTH = 1e-3  # [m] a support interval counts as at least this wide in the cost
+LEAST_AREA = 1e-4  # [m^2] a body workspace counts as at least this large in the cost
+OVERLAP = 1e-9  # [m] support intervals that miss each other by less than this touch
+
+
+class Weights(Protocol):
+    """Weights of the three costs of a move, W1, W2 and W3 of eq. 4.22; `climber.scenario.CostWeights` has them."""
+
+    @property
+    def reach(self) -> float:
+        """W1, on the distance that the moving limb travels [1/m]."""
+
+    @property
+    def stability(self) -> float:
+        """W2, on one over the width of the support interval of the limbs that stay [m]."""
+
+    @property
+    def robustness(self) -> float:
+        """W3, on one over the area of the body workspace of the limbs that stay [m^2]."""
+
+
+@dataclass(frozen=True)
+class Supports:
+    """The sets of holds that stay during moves.
+
+    Attributes:
+        holds: In cyclic order, beginning after the gap of the limb that moves, shape (U, n - 1).
+        intervals: Interval of the centre of mass [m], SR1 of eq. 4.17, shape (U, 2); NaN where empty.
+        areas: Area of the body workspace [m^2], shape (U,).
+    """
+
+    holds: Ints
+    intervals: Vector
+    areas: Vector
+
+    @property
+    def stability_costs(self) -> Vector:
+        """One over the width of the interval [1/m] (4.20), shape (U,)."""
+        width: Vector = self.intervals[:, 1] - self.intervals[:, 0]
+        return 1.0 / np.maximum(width, LEAST_WIDTH)
+
+    @property
+    def robustness_costs(self) -> Vector:
+        """One over the area of the body workspace [1/m^2] (4.21), shape (U,)."""
+        return 1.0 / np.maximum(self.areas, LEAST_AREA)
+
+
+@dataclass(frozen=True)
+class Moves:
+    """Directed moves between poses, sorted by tail, then head.
+
+    Attributes:
+        tail: Pose each starts from, shape (E,).
+        head: Pose each leads to, shape (E,).
+        place: Place of the moving limb in the tail's cyclic order, shape (E,).
+        turn: By how many periods of the rotation the limbs that stay are further on in the head's order, shape (E,).
+        support: Row of what stays in the table of supports, shape (E,).
+        cost: Rounded cost (4.22), shape (E,).
+    """
+
+    tail: Ints
+    head: Ints
+    place: NDArray[np.int8]
+    turn: NDArray[np.int8]
+    support: Ints
+    cost: Ints
+
+
+def reachable_pairs(
+    positions: Vector, reach: Vector, rotations: Rotations, poses: Ints, releases: Releases
+) -> tuple[Places, Places, Vector]:
+    """Pairs of releases of the same support whose stances' disks all overlap together (4.7).
+
+    Both stances' own disks are known to overlap, and three by three decide (Helly); so only triples with the hold let
+    go, the hold taken and one that stays are new.
+
+    Returns:
+        Rows of `releases`, shape (N,) twice, sorted by support, and the distance from hold to hold [m], shape (N,).
+    """
+    n = rotations.num_limbs
+    moving = poses[releases.pose, releases.place]
+    around = (releases.place[:, None] + np.arange(1, n)) % n
+    staying = poses[releases.pose[:, None], around]  # (R, n - 1), the same along a support
+    equal, radius = rotations.period == 1, float(reach.max())
+    squares = squared_distance(positions, moving[:, None], staying)  # (R, n - 1)
+    found = []
+    for a, b in later_partners(releases.support):
+        apart = squared_distance(positions, moving[a], moving[b])
+        if equal:
+            meet = apart <= 4.0 * (radius + TOUCH) ** 2
+            for i in range(n - 1):
+                meet &= triangle_fits(squares[a, i], squares[b, i], apart, radius)
+        else:
+            holds = np.column_stack([staying[a], moving[a], moving[b]])
+            places = np.column_stack([around[a], releases.place[a], releases.place[a]])
+            meet = disks_meet(positions[holds], reach[places])
+        found.append((a[meet], b[meet], np.sqrt(apart[meet])))
+    a, b, distance = (np.concatenate(column) for column in zip(*found, strict=True))
+    return a, b, distance
+
+
+def support_table(
+    wall: Wall, reach: Vector, mass: float, rotations: Rotations, poses: Ints, releases: Releases
+) -> Supports:
+    """Interval and body workspace of the supports that the given releases leave, one row for each release."""
+    n = rotations.num_limbs
+    around = (releases.place[:, None] + np.arange(1, n)) % n
+    holds = poses[releases.pose[:, None], around]
+    # A set of holds occurs with the gap at several places; for equal limbs all is the same for each of them.
+    sets, which = unique_rows(np.sort(holds, axis=1))
+    intervals = hold_set_intervals(wall, sets, mass)[which]
+    positions = wall.positions[:, :2]
+    if rotations.period == 1:
+        areas = overlap_areas(positions[sets], reach[1:])[which]
+    else:
+        areas = overlap_areas(positions[holds], reach[around])
+    return Supports(holds, intervals, areas)
+
+
+def find_moves(
+    wall: Wall,
+    reach: Vector,
+    mass: float,
+    weights: Weights,
+    rotations: Rotations,
+    poses: Ints,
+    releases: Releases,
+    counts: dict[str, int],
+) -> tuple[Moves, Supports, Vector]:
+    """All moves between poses that pass the checks.
+
+    A move is stable if the holds that stay can carry the robot and the centre of mass can be over them and over the
+    holds of the stance the move ends in (4.17).
+
+    Args:
+        wall: The wall.
+        reach: Radius of each limb's disk [m], shape (n,).
+        mass: The robot's mass [kg].
+        weights: Of the costs.
+        rotations: Of the robot.
+        poses: Hold at each place, shape (P, n).
+        releases: The releases between which to look for moves, sorted by support.
+        counts: Gains `reach_ok`, `stable_pairs`, `stable_directed`, `directed_where_SR2_clause_rejects`, `supports`.
+
+    Returns:
+        The moves, their supports, and the interval of the centre of mass of each pose that has a reachable neighbour
+        [m], shape (P, 2), NaN elsewhere and where empty.
+    """
+    positions = np.ascontiguousarray(wall.positions[:, :2])
+    a, b, distance = reachable_pairs(positions, reach, rotations, poses, releases)
+    left, support = _numbered(releases.support[a])
+    supports = support_table(wall, reach, mass, rotations, poses, _rows(releases, a[left]))
+
+    pose_a, pose_b, place_a, place_b = releases.pose[a], releases.pose[b], releases.place[a], releases.place[b]
+    ends = np.zeros(len(poses), dtype=bool)
+    ends[pose_a] = ends[pose_b] = True
+    intervals = np.full((len(poses), 2), np.nan)
+    intervals[ends] = hold_set_intervals(wall, poses[ends], mass)
+
+    held = supports.intervals[support]
+    to_b, to_a = _overlap(held, intervals[pose_b]), _overlap(held, intervals[pose_a])
+    counts["reach_ok"] = len(a)
+    counts["stable_pairs"] = int((to_a | to_b).sum())
+    counts["stable_directed"] = int(to_a.sum() + to_b.sum())
+    counts["directed_where_SR2_clause_rejects"] = 2 * int((~np.isnan(held[:, 0])).sum()) - counts["stable_directed"]
+    counts["supports"] = len(supports.holds)
+
+    cost = weights.reach * distance
+    cost += (weights.stability * supports.stability_costs + weights.robustness * supports.robustness_costs)[support]
+    turn = (place_b - place_a) // rotations.period
+    forwards = (pose_a[to_b], pose_b[to_b], place_a[to_b], turn[to_b], support[to_b], cost[to_b])
+    backwards = (pose_b[to_a], pose_a[to_a], place_b[to_a], -turn[to_a], support[to_a], cost[to_a])
+    tail, head, place, turn, support, cost = (np.concatenate(pair) for pair in zip(forwards, backwards, strict=True))
+    order = (tail * len(poses) + head).argsort()
+    if len(cost) and cost.max() > np.iinfo(np.int32).max:
+        raise ValueError(
+            f"a move costs {cost.max():.3g}, more than a 32-bit number; use smaller weights than {weights}"
+        )
+    moves = Moves(
+        tail[order].astype(np.int32),
+        head[order].astype(np.int32),
+        place[order].astype(np.int8),
+        turn[order].astype(np.int8),
+        support[order].astype(np.int32),
+        np.rint(cost[order]).astype(np.int32),
+    )
+    return moves, supports, intervals
+
+
+def unique_rows(rows: Ints) -> tuple[Ints, Places]:
+    """The distinct rows of an array in lexicographic order, and the number of each row's."""
+    order = np.lexsort(rows.T[::-1]) if rows.shape[1] else np.arange(len(rows))
+    first, number = _numbered(rows[order])
+    which = np.empty(len(rows), dtype=np.int64)
+    which[order] = number
+    return rows[order[first]], which
+
+
+def _numbered(runs: NDArray[np.integer]) -> tuple[Places, Places]:
+    """Where each run of equal entries starts, and the number of the run that each entry is in."""
+    changes = runs[1:] != runs[:-1]
+    if changes.ndim == 2:
+        changes = changes.any(axis=1)
+    new = np.concatenate([np.ones(min(1, len(runs)), dtype=bool), changes])
+    return np.flatnonzero(new), np.cumsum(new) - 1
+
+
+def _rows(releases: Releases, rows: Places) -> Releases:
+    return Releases(releases.pose[rows], releases.place[rows], releases.support[rows])
+
+
+def _overlap(a: Vector, b: Vector) -> Mask:
+    """Whether intervals overlap; an empty one, NaN, overlaps nothing."""
+    result: Mask = np.maximum(a[:, 0], b[:, 0]) <= np.minimum(a[:, 1], b[:, 1]) + OVERLAP
+    return result
