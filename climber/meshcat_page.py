@@ -182,7 +182,7 @@ def meshcat_page(scene: Scene) -> str:
     params.host, params.port, params.show_stats_plot = "localhost", 0, False
     with _quiet():
         meshcat = Meshcat(params)
-    X_GW = wall_pose(scene.wall, float(lower[1]))
+    X_GW, camera, target = viewpoint(scene.wall, lower, upper)
     meshcat.SetTransform(ROOT, X_GW)
     meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.97])
     meshcat.SetProperty("/Background", "bottom_color", [1.0, 1.0, 1.0])
@@ -197,12 +197,33 @@ def meshcat_page(scene: Scene) -> str:
     recording = meshcat.get_mutable_recording()
     recording.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
     meshcat.PublishRecording()
-    # Far enough that the slab fits into the camera's 75 degrees, a little from the right and from above.
-    middle = np.append((lower + upper) / 2.0, 0.0)
-    away = max(0.9 * (upper - lower)[1], 0.55 * (upper - lower)[0])
-    meshcat.SetCameraPose(X_GW.multiply(middle + away * np.array([0.1, 0.12, 1.0])), X_GW.multiply(middle))
+    meshcat.SetCameraPose(camera, target)
     html: str = meshcat.StaticHtml().replace("<title>Drake MeshCat</title>", f"<title>{escape(scene.title)}</title>", 1)
     return html.replace("<body>", "<body>\n" + _caption(scene.title), 1)
+
+
+def viewpoint(wall: Wall, lower: Vector, upper: Vector) -> tuple[RigidTransform, Vector, Vector]:
+    """Where the wall stands, where the camera is and what it looks at, in Meshcat's world.
+
+    The camera is far enough for the slab to fit into its 75 degrees, a little to the right and above, halfway between
+    facing the wall and looking level, so that a slab and an overhang look like what they are. A steep overhang is
+    lifted off the ground for the camera to be above it.
+
+    Args:
+        wall: The wall.
+        lower: Lower left corner of the slab in W's x-y plane [m].
+        upper: Upper right corner [m].
+
+    Returns:
+        X_GW, the camera and its target [m], the latter two of shape (3,).
+    """
+    X_GW = wall_pose(wall, float(lower[1]))
+    facing = X_GW.rotation().multiply(np.array([0.0, 0.0, 1.0])) + np.array([0.0, -1.0, 0.0])
+    away = max((upper - lower)[1], 0.62 * (upper - lower)[0])
+    target: Vector = X_GW.multiply(np.append((lower + upper) / 2.0, 0.0))
+    camera: Vector = target + away * (facing / np.linalg.norm(facing) + np.array([0.1, 0.0, 0.12]))
+    lift = np.array([0.0, 0.0, max(0.0, 0.1 * away - camera[2])])
+    return RigidTransform(X_GW.rotation(), X_GW.translation() + lift), camera + lift, target + lift
 
 
 def _caption(name: str) -> str:

@@ -500,6 +500,17 @@ def test_wall_is_stood_up_so_that_gravity_points_down(inclination: float) -> Non
     assert X_GW.multiply(RigidTransform([1.0, 0.0, 0.0])).translation()[0] == pytest.approx(1.0)
 
 
+@given(st.floats(5.0, 175.0), st.floats(0.2, 5.0), st.floats(0.2, 5.0))
+def test_camera_is_above_the_ground_on_the_climbers_side(inclination: float, width: float, height: float) -> None:
+    lower, upper = np.array([-0.1, -0.2]), np.array([-0.1 + width, -0.2 + height])
+    X_GW, camera, target = meshcat_page.viewpoint(Wall((), inclination_deg=inclination), lower, upper)
+    assert camera[2] > 0.0
+    assert X_GW.inverse().multiply(camera)[2] > 0.5 * height
+    assert X_GW.inverse().multiply(target) == pytest.approx([*(lower + upper) / 2.0, 0.0])
+    edges = [X_GW.multiply(np.array([x, y, 0.0]))[2] for x, y in (lower, upper)]
+    assert min(edges) > -1e-9
+
+
 @pytest.mark.parametrize(
     "outline",
     [
