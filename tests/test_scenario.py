@@ -216,7 +216,7 @@ def test_packaged_scenarios_go_by_their_bare_names() -> None:
         np.testing.assert_allclose(pelvis.circle.center, holds[:, :2].mean(axis=0), atol=1e-6)
         assert pelvis.circle.radius == 0.06
         hold = scenario.build_wall().holds[0]
-        assert (hold.half_width, hold.min_force, hold.max_force) == (0.01, 2.0, 20.0)
+        assert (hold.half_width, hold.min_force, hold.max_force) == (0.01, 0.5, 20.0)
 
 
 # What is refused: where in the tree, what is put there, the field named, and words of what is allowed
