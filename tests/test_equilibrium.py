@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems import EQUILIBRIUM_PROBLEMS, MASS_OF_20_N, EquilibriumProblem, hold, random_wall
 
-from climber.programs.equilibrium import ContactForces, SupportProgram, hold_forces, wall_forces, weight_in_plane
+from climber.programs.equilibrium import ContactForces, SupportProgram, wall_forces, weight_in_plane
 from climber.programs.support import contact_intervals, hold_set_intervals, support_intervals
 from climber.stance import Contact
 from climber.wall import GRIPS, Hold, Wall
@@ -69,14 +69,14 @@ def test_program_can_be_read_before_it_is_solved() -> None:
 
 
 def test_friction_cone_edges_are_at_the_friction_angle_on_either_side_of_the_normal() -> None:
-    forces = hold_forces(hold(0, 0, slope_deg=30.0, friction=1.0))
+    forces = wall_forces(Wall((hold(0, 0, slope_deg=30.0, friction=1.0),)))[0]
     angles = np.degrees(np.arctan2(forces.generators[1], forces.generators[0]))
     assert angles == pytest.approx([90 + 30 + 45, 90 + 30 - 45])
 
 
 def test_planar_cone_of_a_normal_that_leaves_the_plane_is_refused() -> None:
     with pytest.raises(ValueError, match="normal in the wall plane"):
-        hold_forces(Hold((0, 0, 0), (0.0, 0.8, 0.6), 0.5))
+        wall_forces(Wall((Hold((0, 0, 0), (0.0, 0.8, 0.6), 0.5),)))
 
 
 def test_an_inclined_wall_pulls_less_along_itself() -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydrake.solvers import ClarabelSolver, ClpSolver, MathematicalProgram
 
 from climber.stance import Contact, Vector
-from climber.wall import Hold, Wall
+from climber.wall import Wall
 
 
 @dataclass(frozen=True)
@@ -45,36 +45,34 @@ class ContactForces:
         return ContactForces(self.offset[i], self.generators[i], self.lower[i], self.upper[i])
 
 
-def hold_forces(hold: Hold) -> ContactForces:
-    """The forces one hold offers to a planar robot.
+def wall_forces(wall: Wall) -> ContactForces:
+    """The forces that each hold offers to a planar robot; the leading shape is (num_holds,), and p is 2.
 
     Friction: the two edges of the cone (eq. 4.8), each between `min_force` and `max_force` (eq. 4.9). Pin: the axes of
     the plane, each up to `max_force` either way. Magnet: the edges of the cone, shifted by `adhesion` into the hold.
 
     Raises:
-        ValueError: If the normal leaves the wall plane; the section of a tilted cone is not the cone of its section.
+        ValueError: If the normal of a friction cone leaves the wall plane; the section of a tilted cone is not the cone
+            of its section.
     """
-    normal = np.array(hold.normal, dtype=float)
-    if hold.grip == "pin":
-        bound = np.full(2, hold.max_force)
-        return ContactForces(np.zeros(3), np.eye(3)[:, :2], -bound, bound)
-    if abs(normal[2]) > 1e-9:
-        raise ValueError(f"a planar friction cone needs a normal in the wall plane, not {hold.normal}")
-    half_angle = np.arctan(hold.friction)
-    across = np.array([-normal[1], normal[0], 0.0])
-    edges = np.stack([np.cos(half_angle) * normal + s * np.sin(half_angle) * across for s in (1.0, -1.0)], axis=-1)
-    adhesion = hold.adhesion if hold.grip == "magnet" else 0.0
-    return ContactForces(-adhesion * normal, edges, np.full(2, hold.min_force), np.full(2, hold.max_force))
-
-
-def wall_forces(wall: Wall) -> ContactForces:
-    """The forces of every hold of the wall; the leading shape is (num_holds,)."""
-    forces = [hold_forces(hold) for hold in wall.holds]
+    holds, normals = wall.holds, wall.normals
+    pin = np.array([hold.grip == "pin" for hold in holds], dtype=bool)
+    tilted = np.flatnonzero((np.abs(normals[:, 2]) > 1e-9) & ~pin)
+    if len(tilted):
+        normal = holds[tilted[0]].normal
+        raise ValueError(f"a planar friction cone needs a normal in the wall plane; hold {tilted[0]} has {normal}")
+    half_angle = np.arctan([hold.friction for hold in holds])[:, None]
+    across = np.stack([-normals[:, 1], normals[:, 0], np.zeros(len(holds))], axis=1)
+    along, aside = np.cos(half_angle) * normals, np.sin(half_angle) * across
+    edges = np.stack([along + aside, along - aside], axis=2)  # (num_holds, 3, 2)
+    most = np.array([hold.max_force for hold in holds], dtype=float)
+    least = np.where(pin, -most, [hold.min_force for hold in holds])
+    adhesion = np.array([hold.adhesion if hold.grip == "magnet" else 0.0 for hold in holds], dtype=float)
     return ContactForces(
-        np.array([f.offset for f in forces]).reshape(-1, 3),
-        np.array([f.generators for f in forces]).reshape(-1, 3, 2),
-        np.array([f.lower for f in forces]).reshape(-1, 2),
-        np.array([f.upper for f in forces]).reshape(-1, 2),
+        -adhesion[:, None] * normals,
+        np.where(pin[:, None, None], np.eye(3)[:, :2], edges),
+        np.repeat(least[:, None], 2, axis=1),
+        np.repeat(most[:, None], 2, axis=1),
     )
 
 
