@@ -16,8 +16,9 @@ from climber.plan_file import Plan, RobotPlan
 from climber.robot import Model, Robot
 from climber.scenario import Scenario, check_against_robot, scenario_from_text
 from climber.verdict import Check, Ledger, Verdict
+from climber.verify_model import Tree
 from climber.verify_motion import MotionChecks
-from climber.verify_rules import RULES
+from climber.verify_rules import LENGTH, RULES
 from climber.verify_structure import StructureChecks
 from climber.wall import Wall
 
@@ -66,7 +67,7 @@ def _robot(scenario: Scenario, number: int, plan: RobotPlan, wall: Wall, source:
     if plan.model != scenario.robots[number].model:
         raise PlanFileError(f"{at}.model: the scenario says {scenario.robots[number].model} (given: {plan.model})")
     robot = Robot(Model.load(plan.model, scenario.folder), wall.gravity)
-    if not robot.planar:
+    if not (robot.planar and Tree(robot).is_planar()):
         raise ModelError(f"{robot.model.path}: verify checks robots that move in the wall plane; this one leaves it")
     try:
         check_against_robot(scenario, number, robot.limb_names, robot.joint_limits)
@@ -89,4 +90,6 @@ def _robot(scenario: Scenario, number: int, plan: RobotPlan, wall: Wall, source:
     for where, hold in used.items():
         if hold >= count:
             raise PlanFileError(f"{at}.{where}: the wall has {count} holds, numbered from 0 (given: {hold})")
+        if abs(wall.normals[hold][2]) > LENGTH:
+            raise PlanFileError(f"{at}.{where}: hold {hold} leans out of the wall plane, where its cone is not planar")
     return robot

@@ -114,6 +114,17 @@ class Tree:
             hinge[child] = p_WM
         return Poses(rotation, origin, hinge, axes)
 
+    def is_planar(self) -> bool:
+        """Whether every joint moves in, or turns across, the wall plane, so that nothing ever changes its height."""
+        poses = self.poses(np.zeros((1, self._damping.size)))
+        for joint in self._joints:
+            axes = poses.axes[int(joint.child_body().index())]
+            if any(abs(slide[0, 2]) > 1e-6 for slide in axes[:-1]) or any(
+                abs(axis[0, 2]) < 1 - 1e-9 for axis in axes[-1:]
+            ):
+                return False
+        return True
+
     def feet(self, poses: Poses) -> Vector:
         """Where the feet are in W [m], shape (K, num_limbs, 3)."""
         at = [poses.origin[b] + poses.rotation[b] @ foot for b, foot in zip(self._foot_body, self._foot, strict=True)]

@@ -12,13 +12,13 @@ from climber.robot import Robot
 from climber.scenario import RobotSpec
 from climber.stance import Vector
 from climber.verdict import Ledger
-from climber.verify_clearance import Clearance
+from climber.verify_clearance import DrakeClearance, Outlines
 from climber.verify_equilibrium import Grip, Support, support_interval
-from climber.verify_model import DrakeModel, Tree
+from climber.verify_model import DrakeModel, Poses, Tree
 from climber.verify_rules import BETWEEN
 from climber.wall import Wall
 
-# How far sampled derivatives may be from those that finite differences give; see `_drift`.
+# How far sampled derivatives may be from those that finite differences give; see `drift`.
 KINKS_IN_VELOCITY = 5.0 / 12.0
 KINKS_IN_POSITION = 0.1
 SLACK = 1e-5  # [m/s, rad/s] for derivatives that were themselves computed numerically
@@ -96,7 +96,8 @@ class MotionChecks:
         self._drake = DrakeModel(robot)
         regions = [(f"obstacle {i}", outline) for i, outline in enumerate(wall.obstacles)]
         regions += [(f"avoided region {i}", region.outline()) for i, region in enumerate(spec.avoid.regions)]
-        self._clearance = Clearance(robot.model, regions)
+        self._outlines = Outlines(robot, regions)
+        self._drake_clearance = DrakeClearance(robot, regions)
         self._grips = [Grip.of(hold) for hold in wall.holds]
         self._supports: dict[tuple[tuple[int, tuple[float, ...]], ...], Support] = {}
 
@@ -111,7 +112,7 @@ class MotionChecks:
             required = self._tree.required_force(poses, motion.v, motion.vd, motion.force)
             self._contacts(number, phase, motion, feet)
             self._limits(number, motion)
-            self._touching(number, motion)
+            self._touching(number, motion, poses)
             self._equilibrium(number, phase, motion, center)
             self._forces(number, phase, motion)
             self._dynamics(number, motion, required)
@@ -132,7 +133,7 @@ class MotionChecks:
     def _sampling(self, number: int, phase: Phase, samples: Motion) -> None:
         """The samples are dense, and each series is the derivative of the one before."""
         self._note("sampling", number, samples.time[:-1], np.diff(samples.time))
-        velocity, acceleration = _drift(samples)
+        velocity, acceleration = drift(samples)
         names = list(self._robot.velocity_names)
         self._note("velocity", number, samples.time[:-1], velocity, names)
         self._note("acceleration", number, samples.time[:-1], acceleration, names)
@@ -155,13 +156,17 @@ class MotionChecks:
         self._note("speed limits", number, motion.time, np.abs(motion.v[:, self._robot.joint_v]) - fastest, names)
         self._note("torque limits", number, motion.time, np.abs(motion.torque) - self._robot.effort, names)
 
-    def _touching(self, number: int, motion: Motion) -> None:
-        """Nothing touches that should not."""
-        nearest = [self._clearance.nearest(q) for q in motion.q]
-        for which, name in enumerate(("self clearance", "obstacle clearance")):
-            distance = np.array([found[which].distance for found in nearest])
+    def _touching(self, number: int, motion: Motion, poses: Poses) -> None:
+        """Nothing touches that should not, by outlines at every instant and by Drake at the samples."""
+        checks = ("self clearance", "obstacle clearance")
+        for name, found in zip(checks, self._outlines.measure(poses), strict=True):
+            self._note(name, number, motion.time, found.values, found.pairs)
+        at = np.flatnonzero(motion.sampled)
+        nearest = [self._drake_clearance.nearest(motion.q[k]) for k in at]
+        for which, name in enumerate(checks):
+            distance = np.array([pair[which][0] for pair in nearest])
             place = int(np.argmin(distance))
-            self._note(name, number, motion.time[place : place + 1], distance[[place]], [nearest[place][which].pair])
+            self._note(name, number, motion.time[at[[place]]], distance[[place]], [nearest[place][which][1]])
 
     def _support(self, phase: Phase) -> Support:
         """The support interval of a phase's contacts, from one pair of programs for each distinct set of them."""
@@ -217,7 +222,7 @@ class MotionChecks:
         self._note("mechanics", number, motion.time[at], differences)
 
 
-def _drift(samples: Motion) -> tuple[Vector, Vector]:
+def drift(samples: Motion) -> tuple[Vector, Vector]:
     """How far sampled velocities and accelerations are from the derivatives of positions and velocities.
 
     Over a step h from sample 0 to 1 the trapezium rule leaves v1 - v0 - h/2 (a0 + a1) = -h^3/12 a''. The samples of a
