@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plans import REMOVED, edited, entry, step_plan
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import JacobianWrtVariable, MultibodyForces
 
 from climber.exceptions import PlanFileError
 from climber.plan_file import Plan
+from climber.verify_rules import RULES
 
 
 def assert_same(a: Any, b: Any) -> None:
@@ -222,3 +227,50 @@ def test_every_missing_entry_of_an_object_is_noticed_unless_the_object_is_an_ope
             continue
         with pytest.raises(PlanFileError):
             Plan.from_json(edited(step_plan(duration=0.05), path, REMOVED))
+
+
+def test_the_format_is_documented_field_by_field_and_check_by_check() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "plan-format.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"^\| `([^`]+)` \|", page, flags=re.MULTILINE))
+    robot = SHORT["robots"][0]
+    fields = {*SHORT, *robot, *robot["phases"][0], *robot["cuts"][0]}
+    fields |= {f"scenario.{key}" for key in SHORT["scenario"]}
+    fields |= {f"contacts[k].{key}" for key in robot["phases"][0]["contacts"][0]}
+    assert listed == fields
+    for name, rule in RULES.items():
+        limit = f"{rule.sense} {rule.limit:g} {rule.unit}".rstrip()
+        assert f"| {name} | {rule.asks} | {limit} |" in page
+
+
+def test_a_program_without_climber_can_follow_the_file(tmp_path: Path) -> None:
+    """Feet on their contact points and torques that produce the motion, from JSON, YAML and Drake alone."""
+    step_plan().save(tmp_path / "plan.json")
+    robot = json.loads((tmp_path / "plan.json").read_text())["robots"][0]
+    plant = MultibodyPlant(0.0)
+    parser = Parser(plant)
+    parser.package_map().Add("climber", str(Path(__file__).parents[1] / "plants"))
+    (model,) = parser.AddModelsFromUrl(robot["model"])
+    plant.mutable_gravity_field().set_gravity_vector([0.0, -9.81, 0.0])
+    plant.Finalize()
+    context = plant.CreateDefaultContext()
+    q_columns = [robot["positions"].index(name) for name in plant.GetPositionNames(model, False, False)]
+    v_names = plant.GetVelocityNames(model, False, False)
+    v_columns = [robot["velocities"].index(name) for name in v_names]
+    torque_rows = [v_names.index(name) for name in robot["joints"]]
+    for phase in robot["phases"]:
+        for k in range(0, len(phase["time"]), 10):
+            plant.SetPositions(context, np.array(phase["q"][k])[q_columns])
+            plant.SetVelocities(context, np.array(phase["v"][k])[v_columns])
+            forces = MultibodyForces(plant)
+            plant.CalcForceElementsContribution(context, forces)
+            needed = plant.CalcInverseDynamics(context, np.array(phase["vd"][k])[v_columns], forces)
+            for contact in phase["contacts"]:
+                frame, world = plant.GetFrameByName(f"{contact['limb']}_foot"), plant.world_frame()
+                foot = plant.CalcPointsPositions(context, frame, np.zeros(3), world).ravel()
+                np.testing.assert_allclose(foot, contact["point"], atol=1e-9)
+                J = plant.CalcJacobianTranslationalVelocity(
+                    context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world
+                )
+                needed -= J.T @ np.array(phase["force"][contact["limb"]][k])
+            needed[torque_rows] -= phase["torque"][k]
+            np.testing.assert_allclose(needed, 0.0, atol=1e-9)

@@ -11,8 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from plans import (
     AT_THE_EDGE,
+    LIMBS,
     QUADRUPED,
     REMOVED,
     Ground,
@@ -219,6 +222,24 @@ def test_a_wrong_list_entry_is_found() -> None:
     assert "stances" in failing(edited(step_plan(), "robots/0/stances/0/left_rear", 5))
     assert "phases" in failing(edited(step_plan(), f"{PHASE}/2", REMOVED))
     assert "phases" in failing(edited(step_plan(), f"{PHASE}/0/contacts/3", REMOVED))
+
+
+NUMBERS = st.one_of(
+    st.tuples(st.just("q"), st.integers(0, 80), st.integers(0, 10), st.just(0.01)),
+    st.tuples(st.just("v"), st.integers(0, 80), st.integers(0, 10), st.just(0.01)),
+    st.tuples(st.just("vd"), st.integers(0, 80), st.integers(0, 10), st.just(1.0)),
+    st.tuples(st.just("torque"), st.integers(0, 80), st.integers(0, 7), st.just(0.01)),
+    st.tuples(st.sampled_from(LIMBS).map("force/{}".format), st.integers(0, 80), st.integers(0, 2), st.just(0.01)),
+    st.tuples(st.just("contacts"), st.integers(0, 2), st.integers(0, 2).map("point/{}".format), st.just(0.02)),
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(phase=st.integers(0, 2), number=NUMBERS, sign=st.sampled_from([-1.0, 1.0]))
+def test_no_number_of_a_motion_goes_unchecked(phase: int, number: tuple[str, int, object, float], sign: float) -> None:
+    series, row, column, amount = number
+    plan = with_a_free_limb_written_down()
+    assert failing(edited(plan, f"{PHASE}/{phase}/{series}/{row}/{column}", plus(sign * amount)))
 
 
 def test_every_check_is_tripped_by_a_test_here() -> None:
