@@ -62,9 +62,9 @@ class Layers:
         self, num_vertices: int, tail: ArrayLike, head: ArrayLike, cost: ArrayLike, start: int, goals: Iterable[int]
     ) -> None:
         self.num_vertices = num_vertices
-        self.tail = _integers(tail, "tail")
-        self.head = _integers(head, "head")
-        self.cost = _integers(cost, "cost").copy()
+        self.tail = integers(tail, "tail")
+        self.head = integers(head, "head")
+        self.cost = integers(cost, "cost").copy()
         if not len(self.tail) == len(self.head) == len(self.cost):
             lengths = f"{len(self.tail)}, {len(self.head)} and {len(self.cost)}"
             raise ValueError(f"tail, head and cost have {lengths} entries; they must be one per edge")
@@ -182,6 +182,7 @@ class Layers:
         """
         distances = np.full(self.num_vertices, FAR)
         distances[sources] = 0
+        last_place = np.empty(self.num_vertices, np.int64)
         frontier, distance = sources, 0
         while len(frontier):
             distance += 1
@@ -190,8 +191,12 @@ class Layers:
             places = np.arange(stops[-1]) + np.repeat(bounds[frontier] - (stops - counts), counts)
             leaving = edges[places]
             found = ends[leaving[self.usable[leaving]]]
-            frontier = np.unique(found[distances[found] == FAR])
-            distances[frontier] = distance
+            found = found[distances[found] == FAR]
+            distances[found] = distance
+            # A vertex found several times is kept once: where its place was written last.
+            places = np.arange(len(found))
+            last_place[found] = places
+            frontier = found[last_place[found] == places]
         return distances
 
 
@@ -202,7 +207,12 @@ def _rows(vertices: Integers, num_vertices: int) -> tuple[Integers, Integers]:
     return bounds, order
 
 
-def _integers(values: ArrayLike, name: str) -> Integers:
+def integers(values: ArrayLike, name: str) -> Integers:
+    """The values as an array of integers; `name` is what an error calls them.
+
+    Raises:
+        ValueError: If they are not a row of integers.
+    """
     array = np.asarray(values)
     if array.ndim != 1 or (len(array) and array.dtype.kind not in "iu"):
         raise ValueError(f"{name} has shape {array.shape} and type {array.dtype}; it must be a row of integers")
@@ -210,7 +220,7 @@ def _integers(values: ArrayLike, name: str) -> Integers:
 
 
 def _within(values: Sequence[int] | Integers, num_vertices: int, name: str) -> Integers:
-    array = _integers(values, name)
+    array = integers(values, name)
     if len(array) and (array.min() < 0 or array.max() >= num_vertices):
         raise ValueError(f"{name} reaches from {array.min()} to {array.max()}; vertices are 0 to {num_vertices - 1}")
     return array

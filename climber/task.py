@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.resources import files
 
 import clingo
@@ -17,15 +18,21 @@ from clingo import Function, Number, Symbol
 from numpy.typing import ArrayLike
 
 from climber.exceptions import ClimberError
-from climber.layers import FAR, Booleans, Integers, Layers
+from climber.layers import FAR, Booleans, Integers, Layers, integers
 from climber.task_plan import Attempt, Impossible, OutOfTime, Proofs, TaskPlan, TaskStats
 
 __all__ = ["Attempt", "Impossible", "OutOfTime", "Proofs", "TaskPlan", "TaskPlanner", "TaskStats"]
 
-# One thread and a fixed seed: the same question gets the same answer. Core-guided search starts from the lower bound,
-# which with good potentials is the optimum.
-_OPTIONS = ("--seed=0", "--parallel-mode=1", "--opt-strategy=usc", "--models=0", "--warn=none")
+_OPTIONS = ("--seed=0", "--parallel-mode=1", "--models=0", "--warn=none")  # same question, same answer
+# With good potentials the lower bound is the optimum or close to it, and search guided by cores starts from there. On
+# bare costs it does not get off the ground, and branch and bound at least finds plans.
+_FROM_BELOW, _FROM_ABOVE = "--opt-strategy=usc", "--opt-strategy=bb"
 _PATIENCE = 0.25  # [s] at most between looks at the clock; also how long Ctrl-C waits
+
+
+@cache
+def _program() -> str:
+    return files("climber.programs").joinpath("climb.lp").read_text(encoding="utf-8")
 
 
 @dataclass
@@ -102,9 +109,8 @@ class TaskPlanner:
         self.layers = Layers(num_vertices, tail, head, cost, start, goals)
         self._potentials = potentials
         self._facts = _Facts(self.layers)
-        self._control = clingo.Control(_OPTIONS)
-        program = files("climber.programs").joinpath("climb.lp").read_text(encoding="utf-8")
-        self._control.add("base", [], program)
+        self._control = clingo.Control([*_OPTIONS, _FROM_BELOW if potentials else _FROM_ABOVE])
+        self._control.add("base", [], _program())
         self._control.ground([("base", [])], self._facts)
         self._horizon = -1  # the horizon last asked for
         self._refuted = -1  # no plan has so few moves
@@ -292,7 +298,7 @@ class TaskPlanner:
 
     def _chosen(self, edges: ArrayLike) -> Booleans:
         """A mask over all edges."""
-        indices = np.atleast_1d(np.asarray(edges, dtype=np.int64))
+        indices = integers(np.atleast_1d(edges), "edges")
         count = len(self.layers.usable)
         if len(indices) and (indices.min() < 0 or indices.max() >= count):
             raise ValueError(f"edges reach from {indices.min()} to {indices.max()}; they are numbered 0 to {count - 1}")

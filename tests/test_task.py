@@ -314,7 +314,7 @@ def test_cut_that_leaves_the_makespan_grounds_nothing() -> None:
 
 def test_no_two_moves_are_made_at_once_however_they_were_given() -> None:
     # Ways of two to five moves that share nothing: the first move of each is given in a call of its own.
-    edges, firsts, lasts, vertex = [], [], [], 2
+    edges, firsts, lasts, vertex = list[tuple[int, int, int]](), list[int](), list[int](), 2
     for length in (2, 3, 4, 5):
         chain = [0, *range(vertex, vertex + length - 1), 1]
         vertex += length - 1
@@ -406,5 +406,7 @@ def test_nothing_but_integers_reaches_the_logic_program() -> None:
         TaskPlanner(2, [0, 1], [1], [1], 0, [1])
     with pytest.raises(ValueError, match="edges reach from 1 to 1; they are numbered 0 to 0"):
         TaskPlanner(2, [0], [1], [1], 0, [1]).cut([1])
+    with pytest.raises(ValueError, match=r"edges has .* type bool; it must be a row of integers"):
+        TaskPlanner(2, [0], [1], [1], 0, [1]).cut(np.array([True]))  # a mask is not a list of edges
     with pytest.raises(ValueError, match="must not be negative"):
         TaskPlanner(2, [0], [1], [1], 0, [1]).penalise([0], -1)
