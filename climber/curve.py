@@ -15,7 +15,7 @@ from scipy.interpolate import BSpline
 from climber.manifold import Chart, Manifold
 from climber.stance import Vector
 
-DEGREE = 3  # the least for which accelerations are continuous
+DEGREE = 5  # accelerations change smoothly, not only continuously
 RESOLUTION = 0.02  # [rad] distance in joint space between the places where a curve is checked
 
 
@@ -41,7 +41,7 @@ def joint_length(q: Vector) -> float:
 
 @dataclass(frozen=True)
 class Curve:
-    """A twice continuously differentiable curve s -> u(s) in a chart, s in [0, 1].
+    """A smooth curve s -> u(s) in a chart, s in [0, 1]; of degree d it has d - 1 continuous derivatives.
 
     It keeps the contacts exactly, as the chart does. It has no timing: a time law s(t) at rest at both ends makes a
     motion at rest at both ends of it, so du/ds need not vanish there.
@@ -82,13 +82,15 @@ class Curve:
 
     def grid(self, resolution: float = RESOLUTION) -> Vector:
         """Values of s from 0 to 1, both included, whose configurations lie no farther apart than `resolution` [rad]."""
-        coarse = np.linspace(0.0, 1.0, 65)
-        steps = np.linalg.norm(np.diff(self.q(coarse), axis=0), axis=1)
-        # A step of the coarse grid is a chord, a little shorter than the curve.
-        pieces = np.maximum(np.ceil(1.05 * steps / resolution), 1).astype(int)
-        start, size = np.repeat(coarse[:-1], pieces), np.repeat(1 / 64 / pieces, pieces)
-        within = np.arange(len(start)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-        return np.append(start + within * size, 1.0)
+        s = np.linspace(0.0, 1.0, 65)
+        for _ in range(4):  # a few rounds do, unless a limb out of reach jumps, and then no grid does
+            steps = np.linalg.norm(np.diff(self.q(s), axis=0), axis=1)
+            pieces = np.maximum(np.ceil(steps / resolution), 1).astype(int)
+            if (pieces == 1).all():
+                break
+            number = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+            s = np.append(np.repeat(s[:-1], pieces) + number * np.repeat(np.diff(s) / pieces, pieces), 1.0)
+        return s
 
     def feasible(self, manifold: Manifold, resolution: float = RESOLUTION) -> bool:
         """Whether the curve is feasible everywhere on a grid as fine as `resolution` [rad]."""
@@ -144,7 +146,7 @@ def smooth(
     if len(u) == 2:
         curve = rounded(chart, u, DEGREE + 1)
         return curve if curve.feasible(manifold, resolution) else None
-    longest = float(polyline_lengths(chart, u).sum())
+    longest = float(polyline_lengths(chart, u).sum()) + 1e-9  # [rad] rounding
     while num_control <= most:
         curve = rounded(chart, u, num_control)
         # Around a corner the chart is as good as flat, so that fine enough a curve is shorter.

@@ -53,6 +53,7 @@ class KinematicTrajectoryProgram:
         num_control: int = 12,
         samples: int = 10,
         smoothing: float = 0.01,
+        degree: int = DEGREE,
     ) -> None:
         """Builds the program.
 
@@ -63,26 +64,27 @@ class KinematicTrajectoryProgram:
             num_control: N.
             samples: K.
             smoothing: w.
+            degree: Of the B-spline.
         """
         plant = manifold.body.robot.plant
-        self.manifold, self.chart = manifold, chart
+        self.manifold, self.chart, self.degree = manifold, chart, degree
         self._context = plant.CreateDefaultContext()
-        self._optimization = KinematicTrajectoryOptimization(plant.num_positions(), num_control, DEGREE + 1, 1.0)
+        self._optimization = KinematicTrajectoryOptimization(plant.num_positions(), num_control, degree + 1, 1.0)
         self.prog = self._optimization.get_mutable_prog()
         self.control = self._optimization.control_points()
         self._optimization.AddDurationConstraint(1.0, 1.0).evaluator().set_description("unit duration")
         self.prog.SetInitialGuess(self._optimization.duration(), 1.0)
-        knots = clamped_knots(num_control)
+        knots = clamped_knots(num_control, degree)
         self._inner = np.linspace(0.0, 1.0, samples + 2)[1:-1]
-        self._add_cost(BSpline(knots, np.eye(num_control), DEGREE), smoothing)
+        self._add_cost(BSpline(knots, np.eye(num_control), degree), smoothing)
         for s, q in zip((0.0, 1.0), ends, strict=True):
             self._optimization.AddPathPositionConstraint(q, q, s).evaluator().set_description(f"positions at s={s:.0f}")
         self._add_bounds(ends)
         self._add_contacts()
-        self._copies = self._add_balance(BSpline.design_matrix(self._inner, knots, DEGREE).toarray())
+        self._copies = self._add_balance(BSpline.design_matrix(self._inner, knots, degree).toarray())
         self._solver, self._options = SnoptSolver(), SolverOptions()
-        self._options.SetOption(SnoptSolver.id(), "Major optimality tolerance", 1e-3)
-        self._options.SetOption(SnoptSolver.id(), "Major iterations limit", 100)
+        self._options.SetOption(SnoptSolver.id(), "Major optimality tolerance", 2e-4)
+        self._options.SetOption(SnoptSolver.id(), "Major iterations limit", 200)
 
     def _add_cost(self, basis: BSpline, smoothing: float) -> None:
         fine = np.linspace(0.0, 1.0, 4 * self.control.shape[1])
@@ -146,7 +148,7 @@ class KinematicTrajectoryProgram:
             The answer in the chart, whose contacts are exact, or, if SNOPT finds none, descriptions of what is
             violated.
         """
-        self.prog.SetInitialGuess(self.control, guess.q(greville(self.control.shape[1])).T)
+        self.prog.SetInitialGuess(self.control, guess.q(greville(self.control.shape[1], self.degree)).T)
         here = guess.q(self._inner)
         centers = self.manifold.body.kinematics.center_of_mass(here)
         for (q, c), value, center in zip(self._copies, here, centers, strict=True):
@@ -158,4 +160,4 @@ class KinematicTrajectoryProgram:
         # The chart's coordinates are some of the positions, so their control points are some rows of the answer.
         control = self.chart.coordinates(result.GetSolution(self.control).T)
         control[0], control[-1] = guess.control[0], guess.control[-1]
-        return Curve(self.chart, control)
+        return Curve(self.chart, control, self.degree)
