@@ -154,8 +154,8 @@ def counter_clockwise(points: Vector) -> tuple[NDArray[np.int64], Mask]:
         points: Shape (M, k, 2).
 
     Returns:
-        Places in the set in counter-clockwise order, place 0 first, shape (M, k), and whether every corner, also of
-        the fan of triangles around the first, turns strictly left, shape (M,). One and two points are always in order.
+        Places in the set in counter-clockwise order, place 0 first, shape (M, k), and whether every corner turns
+        strictly left, shape (M,). One and two points are always in order.
     """
     M, k, _ = points.shape
     if k < 3:
@@ -163,14 +163,15 @@ def counter_clockwise(points: Vector) -> tuple[NDArray[np.int64], Mask]:
     x, y = points[..., 0], points[..., 1]
     dx, dy = x[:, 1:] - x[:, :1], y[:, 1:] - y[:, :1]
     # Seen from a corner of a convex polygon the other corners are within a half turn, on both sides of their mean.
+    # Sorted so, the path sweeps less than one turn around that corner, and left turns only make it convex.
     mx, my = dx.sum(axis=1, keepdims=True), dy.sum(axis=1, keepdims=True)
     angles = np.arctan2(mx * dy - my * dx, mx * dx + my * dy)
     order = np.zeros((M, k), dtype=np.int64)
     order[:, 1:] = angles.argsort(axis=1) + 1
     x, y = np.take_along_axis(x, order, axis=1), np.take_along_axis(y, order, axis=1)
-    corners = [(i, (i + 1) % k, (i + 2) % k) for i in range(k)] + [(0, i, i + 1) for i in range(2, k - 2)]
     convex = np.ones(M, dtype=bool)
-    for a, b, c in corners:
+    for a in range(k):
+        b, c = (a + 1) % k, (a + 2) % k
         turn = (x[:, b] - x[:, a]) * (y[:, c] - y[:, a]) - (y[:, b] - y[:, a]) * (x[:, c] - x[:, a])
         convex &= turn > 0.0
     return order, convex

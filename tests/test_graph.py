@@ -308,14 +308,19 @@ def test_goal_by_holds_by_stance_and_by_region() -> None:
     assert graph.goal_vertices(holds=goal, stance=start).tolist() == []
     assert graph.goal_vertices().tolist() == list(range(graph.num_vertices))
 
-    region = box(0.30, 0.70, 0.32, 0.73)
     disks = [Point(p).buffer(0.25, quad_segs=64) for p in wall.positions[:, :2]]
-    expected = [
-        v for v, s in enumerate(graph.stances) if shapely.intersection_all([disks[h] for h in s]).intersects(region)
-    ]
-    assert graph.goal_vertices(region=region).tolist() == expected
-    assert 0 < len(expected) < graph.num_vertices
-    assert set(graph.goal_vertices(holds=goal, region=region)) <= set(by_holds)
+    apart = box(0.10, 0.60, 0.12, 0.62).union(box(0.55, 0.60, 0.57, 0.62))  # each hold is near one, the body at neither
+    for region in (box(0.30, 0.70, 0.32, 0.73), apart):
+        expected = [
+            v for v, s in enumerate(graph.stances) if shapely.intersection_all([disks[h] for h in s]).intersects(region)
+        ]
+        assert graph.goal_vertices(region=region).tolist() == expected
+        assert 0 < len(expected) < graph.num_vertices
+    each = [v for v, s in enumerate(graph.stances) if all(disks[h].intersects(apart) for h in s)]
+    assert len(each) > len(expected)
+    near = set(graph.goal_vertices(region=box(0.30, 0.70, 0.32, 0.73)).tolist())
+    both = graph.goal_vertices(holds=goal, region=box(0.30, 0.70, 0.32, 0.73))
+    assert set(both.tolist()) == near & set(by_holds.tolist())
 
 
 def test_start_that_cannot_be_stood_on_says_why() -> None:
@@ -336,6 +341,23 @@ def test_symmetry_that_is_not_one_is_refused() -> None:
         build_stance_graph(wall, DiskRobot(np.full(4, 0.25), ((1, 0, 3, 2),)), start, Weights())
     with pytest.raises(ValueError, match="unlike reach"):
         build_stance_graph(wall, DiskRobot(np.array([0.25, 0.25, 0.3, 0.3]), ((2, 3, 0, 1),)), start, Weights())
+
+
+def test_holds_out_of_reach_of_the_start_add_no_moves() -> None:
+    wall, start, _ = thesis_wall("W1")
+    far = tuple(replace(h, position=(h.position[0] + 5.0, h.position[1], 0.0)) for h in wall.holds)
+    alone, beside = (build_stance_graph(w, QUADRUPED, start, Weights()) for w in (wall, Wall(wall.holds + far)))
+    assert beside.counts["poses"] == 2 * alone.counts["poses"]
+    for stage in (
+        "ordered_states_visited",
+        "unique_transitions",
+        "stable_directed",
+        "graph_nodes",
+        "vertices",
+        "edges",
+    ):
+        assert beside.counts[stage] == alone.counts[stage]
+    np.testing.assert_array_equal(beside.stances, alone.stances)
 
 
 def test_a_start_without_moves_is_a_graph_of_one_vertex() -> None:
