@@ -11,20 +11,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
-from pydrake.geometry import SceneGraph
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint, ModelInstanceIndex, PlanarJoint, RevoluteJoint
+from pydrake.multibody.tree import Joint, PlanarJoint, RevoluteJoint
 from pydrake.systems.framework import Context
 
 from climber.exceptions import ModelError
-from climber.resources import package_map, resolve_model
+from climber.model import Model as Model  # robots and models go together
 from climber.stance import Vector
+from climber.symmetry import symmetry_group
 from climber.wall import GRAVITY
 
 Indices = NDArray[np.int64]
@@ -42,8 +39,9 @@ class Limb:
         v: Places of the joints in the plant's velocities, shape (num_joints,).
         lower: Lower position limits [rad], shape (num_joints,).
         upper: Upper position limits [rad], shape (num_joints,).
-        velocity: Velocity limits [rad/s], shape (num_joints,).
-        effort: Effort limits [N m], shape (num_joints,).
+        velocity: Velocity limits, the same in both directions [rad/s], shape (num_joints,).
+        effort: Effort limits [N m], zero for joints without a motor, shape (num_joints,).
+        hip: Where the first joint is in the pelvis's frame [m], shape (3,).
         reach: Farthest that the foot can be from the pelvis's origin [m].
     """
 
@@ -56,74 +54,23 @@ class Limb:
     upper: Vector
     velocity: Vector
     effort: Vector
+    hip: Vector
     reach: float
 
+    @property
+    def one_turn(self) -> tuple[Vector, Vector]:
+        """Position limits [rad], cut to one turn about their middle where they leave more; about zero for a free joint.
 
-@dataclass(frozen=True)
-class Model:
-    """A robot model as found on disk: the file Drake parses and the description beside it.
-
-    Attributes:
-        source: What the user wrote, a `package://` URL or a path.
-        path: The model file.
-        pelvis: Name of the body that carries the limbs.
-        feet: Name of each limb's foot frame by limb name, in limb order.
-        symmetries: Limb orders, each naming the limb that takes the place of each limb, that leave the robot the same.
-    """
-
-    source: str
-    path: Path
-    pelvis: str
-    feet: dict[str, str]
-    symmetries: tuple[tuple[str, ...], ...] = ()
-
-    @classmethod
-    def load(cls, source: str | Path, relative_to: Path | None = None) -> Model:
-        """Reads the description beside a model.
-
-        Args:
-            source: A `package://climber/...` URL or a path to a URDF or SDF file.
-            relative_to: The folder that a relative path starts from; the working directory by default.
-
-        Raises:
-            ModelError: If a file is missing or the description does not say what it must.
+        Planning keeps joints within these, so that every attitude of a link is one angle.
         """
-        path = resolve_model(str(source), relative_to)
-        beside = path.with_suffix(".yaml")
-        if not path.is_file():
-            raise ModelError(f"{path}: no such robot model (given as {source})")
-        if not beside.is_file():
-            raise ModelError(f"{beside}: missing; it must name the pelvis, the limbs and their feet of {path.name}")
-        try:
-            raw: Any = yaml.safe_load(beside.read_text())
-            limbs = {str(limb["name"]): str(limb["foot"]) for limb in raw["limbs"]}
-            symmetries = tuple(tuple(str(name) for name in order) for order in raw.get("symmetries") or ())
-            pelvis = str(raw["pelvis"])
-        except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
-            raise ModelError(
-                f"{beside}: expected `pelvis: body`, `limbs: [{{name, foot}}, ...]` and optionally "
-                f"`symmetries: [[limb, ...], ...]`; {type(error).__name__}: {error}"
-            ) from error
-        for order in symmetries:
-            if sorted(order) != sorted(limbs):
-                raise ModelError(f"{beside}: symmetries: {list(order)} must name each of {list(limbs)} once")
-        return cls(str(source), path, pelvis, limbs, symmetries)
-
-    def add_to(
-        self, plant: MultibodyPlant, scene_graph: SceneGraph | None = None, name: str | None = None
-    ) -> ModelInstanceIndex:
-        """Parses the model into a plant that is not yet finalised, under the instance name `name` if given."""
-        parser = Parser(plant, scene_graph) if scene_graph is not None else Parser(plant)
-        parser.package_map().AddMap(package_map())
-        if name is not None:
-            parser.SetAutoRenaming(True)
-        try:
-            (instance,) = parser.AddModels(str(self.path))
-        except (RuntimeError, ValueError) as error:
-            raise ModelError(f"{self.path}: Drake cannot read this model: {error}") from error
-        if name is not None:
-            plant.RenameModelInstance(instance, name)
-        return instance
+        lower, upper = self.lower.copy(), self.upper.copy()
+        for i, (low, high) in enumerate(zip(self.lower, self.upper, strict=True)):
+            if np.isfinite(low) and np.isfinite(high):
+                middle = (low + high) / 2
+            else:
+                middle = low + np.pi if np.isfinite(low) else high - np.pi if np.isfinite(high) else 0.0
+            lower[i], upper[i] = max(low, middle - np.pi), min(high, middle + np.pi)
+        return lower, upper
 
 
 class Robot:
@@ -148,48 +95,93 @@ class Robot:
         self.plant = MultibodyPlant(0.0)
         instance = self.model.add_to(self.plant)
         self.plant.mutable_gravity_field().set_gravity_vector(self.gravity)
-        self.plant.Finalize()
+        try:
+            self.plant.Finalize()
+        except RuntimeError as error:
+            raise ModelError(f"{self.model.path}: Drake cannot use this model: {error}") from error
         self.name = self.plant.GetModelInstanceName(instance)
-        if not self.plant.HasBodyNamed(self.model.pelvis):
-            raise ModelError(f"{self.model.path}: no body is named {self.model.pelvis!r}, which should be the pelvis")
-        self.pelvis = self.plant.GetBodyByName(self.model.pelvis)
+        bodies = [self.plant.get_body(index).name() for index in self.plant.GetBodyIndices(instance)]
+        if self.model.pelvis not in bodies:
+            raise self.model.unknown("pelvis", self.model.pelvis, "body", bodies)
+        self.pelvis = self.plant.GetBodyByName(self.model.pelvis, instance)
         self._parents = {joint.child_body().index(): joint for joint in self._joints()}
         base = self._parents[self.pelvis.index()]
         self.planar = isinstance(base, PlanarJoint)
+        if self.planar:
+            self._check_planar(base)
         self.base_q = np.arange(base.position_start(), base.position_start() + base.num_positions())
         self.base_v = np.arange(base.velocity_start(), base.velocity_start() + base.num_velocities())
         self.mass = float(self.plant.CalcTotalMass(self.plant.CreateDefaultContext()))
         self.position_names = tuple(self.plant.GetPositionNames(instance, False, False))
         self.velocity_names = tuple(self.plant.GetVelocityNames(instance, False, False))
-        self.limbs = tuple(self._limb(name, foot) for name, foot in self.model.feet.items())
-        names = [limb.name for limb in self.limbs]
-        identity = tuple(range(len(names)))
-        declared = (tuple(names.index(name) for name in order) for order in self.model.symmetries)
-        self.symmetries = (identity, *(order for order in declared if order != identity))
+        self.limbs = tuple(
+            self._limb(number, name, foot) for number, (name, foot) in enumerate(self.model.feet.items())
+        )
+        self._check_apart()
+        self._check_order()
+        self.symmetries = symmetry_group(self)
 
     def _joints(self) -> list[Joint]:
         return [self.plant.get_joint(index) for index in self.plant.GetJointIndices()]
 
+    def _check_planar(self, base: PlanarJoint) -> None:
+        """Refuses a planar joint whose positions are not the pelvis's own x, y and angle in W."""
+        poses = [frame.GetFixedPoseInBodyFrame() for frame in (base.frame_on_parent(), base.frame_on_child())]
+        at_world = base.parent_body().index() == self.plant.world_body().index()
+        if not at_world or not all(pose.IsNearlyIdentity(1e-12) for pose in poses):
+            raise ModelError(
+                f"{self.model.path}: the planar joint {base.name()!r} must join the frame of the pelvis to that of the "
+                f"world, with no offset, and about z (URDF's default axis is x)"
+            )
+
+    def _check_apart(self) -> None:
+        """Refuses limbs that share a joint."""
+        owner: dict[str, str] = {}
+        for number, limb in enumerate(self.limbs):
+            for joint in limb.joints:
+                if joint in owner:
+                    allowed = f"a foot behind joints of its own; limb {owner[joint]} has {joint} too"
+                    raise self.model.error(f"limbs[{number}].foot", limb.foot, allowed)
+                owner[joint] = limb.name
+
+    def _check_order(self) -> None:
+        """Refuses limbs that are not listed counter-clockwise; which legs cross is told by that order."""
+        hips = np.array([limb.hip[:2] for limb in self.limbs])
+        if np.linalg.norm(hips, axis=1).min() < 1e-6:
+            return  # a limb in the middle has no place in the order
+        angles = np.arctan2(hips[:, 1], hips[:, 0])
+        if np.mod(np.roll(angles, -1) - angles, 2 * np.pi).sum() > 2 * np.pi + 1e-6:
+            order = np.argsort(np.mod(angles - angles[0], 2 * np.pi), kind="stable")
+            allowed = f"counter-clockwise around the pelvis: {', '.join(self.limb_names[i] for i in order)}"
+            raise self.model.error("limbs", list(self.limb_names), allowed)
+
     def chain(self, foot: str) -> list[Joint]:
         """The joints, fixed ones too, from the pelvis out to the body that carries the frame `foot`."""
-        if not self.plant.HasFrameNamed(foot):
-            raise ModelError(f"{self.model.path}: no frame is named {foot!r}, which should be a foot")
         joints: list[Joint] = []
         body = self.plant.GetFrameByName(foot).body()
         while body.index() != self.pelvis.index():
             joint = self._parents.get(body.index())
-            if joint is None or body.index() == self.plant.world_body().index():
-                raise ModelError(f"{self.model.path}: the foot {foot!r} does not hang from the pelvis")
+            if joint is None:
+                field = f"limbs[{list(self.model.feet.values()).index(foot)}].foot"
+                raise self.model.error(field, foot, f"a frame that hangs from the pelvis {self.model.pelvis}")
             joints.append(joint)
             body = joint.parent_body()
         return joints[::-1]
 
-    def _limb(self, name: str, foot: str) -> Limb:
-        chain = self.chain(foot)
-        joints = [joint for joint in chain if joint.num_positions()]
+    def _limb(self, number: int, name: str, foot: str) -> Limb:
+        if not self.plant.HasFrameNamed(foot):
+            frames = [
+                self.plant.get_frame(index).name() for index in self.plant.GetFrameIndices(self.pelvis.model_instance())
+            ]
+            raise self.model.unknown(f"limbs[{number}].foot", foot, "frame", frames)
+        joints = [joint for joint in self.chain(foot) if joint.num_positions()]
+        if not joints:
+            raise self.model.error(f"limbs[{number}].foot", foot, "a frame with a joint between it and the pelvis")
         for joint in joints:
             if not isinstance(joint, RevoluteJoint):
-                raise ModelError(f"{self.model.path}: joint {joint.name()!r} is {joint.type_name()}; limbs revolve only")
+                raise ModelError(
+                    f"{self.model.path}: joint {joint.name()!r} is {joint.type_name()}; limbs revolve only"
+                )
         # The pieces between successive joint axes; no chain reaches farther than their lengths together.
         frames = [joint.frame_on_child() for joint in joints] + [self.plant.GetFrameByName(foot)]
         context = self.plant.CreateDefaultContext()
@@ -207,8 +199,9 @@ class Robot:
             v=np.array([joint.velocity_start() for joint in joints], dtype=np.int64),
             lower=np.array([joint.position_lower_limit() for joint in joints]),
             upper=np.array([joint.position_upper_limit() for joint in joints]),
-            velocity=np.array([joint.velocity_upper_limit() for joint in joints]),
+            velocity=np.array([min(joint.velocity_upper_limit(), -joint.velocity_lower_limit()) for joint in joints]),
             effort=np.array([actuators.get(joint.name(), 0.0) for joint in joints]),
+            hip=self.pelvis.EvalPoseInWorld(context).inverse().multiply(points[1]),
             reach=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()),
         )
 
