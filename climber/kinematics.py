@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.tree import RevoluteJoint, RigidBody
+from pydrake.systems.framework import Context
 
 from climber.exceptions import ModelError
 from climber.robot import Robot
@@ -73,11 +74,14 @@ class LimbChain:
     centers: Vector
 
     def links(self, pelvis: Pose, q: Vector) -> list[Pose]:
-        """Poses of the limb's links for joint angles `q` [rad], shape (K, num_joints)."""
+        """Poses of the limb's links for joint angles `q` [rad], shape (K, num_joints).
+
+        With fewer columns than joints, poses of the links nearest the pelvis.
+        """
         poses = []
         pose = pelvis
-        for i, step in enumerate(self.steps):
-            pose = step.advance(pose, q[:, i])
+        for step, angle in zip(self.steps, q.T, strict=False):
+            pose = step.advance(pose, angle)
             poses.append(pose)
         return poses
 
@@ -100,75 +104,76 @@ class Kinematics:
         robot: The robot.
         chains: One chain per limb, in limb order.
         links: Names of the moving links: the pelvis, then each limb's links outwards.
+        pelvis_mass: Mass of the pelvis and what is fixed to it [kg].
+        pelvis_center: Their centre of mass in the pelvis's frame [m], shape (3,).
+        joint_q: Places of the limbs' joints in the plant's positions, limb by limb, shape (num_joints,).
+        lower: Lower limits of those joints [rad], see `Limb.one_turn`, shape (num_joints,).
+        upper: Upper limits, likewise.
+
+    Raises:
+        ModelError: If the pelvis is not planar, a foot not in its plane, or something moves that is not pelvis or limb.
     """
 
     def __init__(self, robot: Robot) -> None:
+        if not robot.planar:
+            raise ModelError(f"{robot.model.path}: the pelvis must hang from the world by a planar joint about z")
         self.robot = robot
         plant = robot.plant
         context = plant.CreateDefaultContext()
         plant.SetPositions(context, np.zeros(plant.num_positions()))
-        chains = []
-        self.links: list[str] = [robot.pelvis.name()]
-        # A body fixed to a link moves with it and adds to its mass.
-        links: list[RigidBody] = [robot.pelvis]
-        joints_of_limbs: list[list[RevoluteJoint]] = []
-        for limb in robot.limbs:
-            joints = [joint for joint in robot.chain(limb.foot) if joint.num_positions()]
-            joints_of_limbs.append(joints)
-            links += [joint.child_body() for joint in joints]
-            self.links += [joint.child_body().name() for joint in joints]
-        if len(robot.base_q) + sum(len(joints) for joints in joints_of_limbs) != plant.num_positions():
+        joints = [[joint for joint in robot.chain(limb.foot) if joint.num_positions()] for limb in robot.limbs]
+        if len(robot.base_q) + sum(map(len, joints)) != plant.num_positions():
             raise ModelError(f"{robot.model.path}: a joint belongs neither to the pelvis nor to a limb")
-        masses: dict[int, float] = {}
-        moments: dict[int, Vector] = {}
-        for link in links:
-            mass, moment = 0.0, np.zeros(3)
-            for body in plant.GetBodiesWeldedTo(link):
-                spatial = body.CalcSpatialInertiaInBodyFrame(context)
-                pose: RigidTransform = plant.CalcRelativeTransform(context, link.body_frame(), body.body_frame())
-                mass += spatial.get_mass()
-                moment += spatial.get_mass() * pose.multiply(spatial.get_com())
-            masses[int(link.index())], moments[int(link.index())] = mass, moment
-        for limb, joints in zip(robot.limbs, joints_of_limbs, strict=True):
-            steps = []
-            parent = robot.pelvis
-            for joint in joints:
-                child = joint.child_body()
-                to_joint = plant.CalcRelativeTransform(context, parent.body_frame(), joint.frame_on_parent())
-                to_child = joint.frame_on_child().GetFixedPoseInBodyFrame().inverse()
-                axis = joint.revolute_axis()
-                cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-                before, after = to_joint.rotation().matrix(), to_child.rotation().matrix()
-                if np.abs(to_child.translation()).max() > 1e-12:
-                    raise ModelError(f"{robot.model.path}: joint {joint.name()!r} must lie at its child link's origin")
-                steps.append(
-                    JointStep(
-                        before @ (np.eye(3) + cross @ cross) @ after,
-                        before @ cross @ after,
-                        -before @ cross @ cross @ after,
-                        to_joint.translation(),
-                        before @ axis,
-                    )
-                )
-                parent = child
-            foot_frame = plant.GetFrameByName(limb.foot)
-            foot = plant.CalcRelativeTransform(context, parent.body_frame(), foot_frame).translation()
-            indices = [int(joint.child_body().index()) for joint in joints]
-            chains.append(
-                LimbChain(
-                    tuple(steps),
-                    foot,
-                    np.array([masses[i] for i in indices]),
-                    np.array([moments[i] / masses[i] if masses[i] else np.zeros(3) for i in indices]),
-                )
+        self.chains = tuple(
+            self._chain(limb.foot, along, context) for limb, along in zip(robot.limbs, joints, strict=True)
+        )
+        self.links = [robot.pelvis.name(), *(joint.child_body().name() for along in joints for joint in along)]
+        self.pelvis_mass, self.pelvis_center = self._mass(robot.pelvis, context)
+        moving = self.pelvis_mass + sum(chain.masses.sum() for chain in self.chains)
+        if abs(moving - robot.mass) > 1e-9 * robot.mass:
+            raise ModelError(
+                f"{robot.model.path}: of {robot.mass:.6g} kg only {moving:.6g} kg move with pelvis and limbs"
             )
-        self.chains = tuple(chains)
-        pelvis = int(robot.pelvis.index())
-        self.pelvis_mass = masses[pelvis]
-        self.pelvis_center: Vector = moments[pelvis] / masses[pelvis] if masses[pelvis] else np.zeros(3)
-        self.lower = np.concatenate([limb.lower for limb in robot.limbs])
-        self.upper = np.concatenate([limb.upper for limb in robot.limbs])
+        heights = self.feet(np.zeros((1, plant.num_positions())))[0, :, 2]
+        for limb, height in zip(robot.limbs, heights, strict=True):
+            if abs(height) > 1e-6:
+                raise ModelError(f"{robot.model.path}: {limb.foot!r} is {height:.3g} m off the plane that holds lie in")
+        limits = [limb.one_turn for limb in robot.limbs]
+        self.lower = np.concatenate([lower for lower, _ in limits])
+        self.upper = np.concatenate([upper for _, upper in limits])
         self.joint_q = np.concatenate([limb.q for limb in robot.limbs])
+
+    def _mass(self, link: RigidBody, context: Context) -> tuple[float, Vector]:
+        """Mass [kg] and centre of mass in the link's frame [m] of a link with all that is fixed to it."""
+        plant = self.robot.plant
+        mass, moment = 0.0, np.zeros(3)
+        for body in plant.GetBodiesWeldedTo(link):
+            pose: RigidTransform = plant.CalcRelativeTransform(context, link.body_frame(), body.body_frame())
+            inertia = body.CalcSpatialInertiaInBodyFrame(context)
+            mass += inertia.get_mass()
+            moment += inertia.get_mass() * pose.multiply(inertia.get_com())
+        return mass, moment / mass if mass else moment
+
+    def _chain(self, foot: str, joints: Sequence[RevoluteJoint], context: Context) -> LimbChain:
+        """The chain of one limb, given the joints that move."""
+        plant = self.robot.plant
+        steps, masses = [], []
+        parent = self.robot.pelvis
+        for joint in joints:
+            to_joint = plant.CalcRelativeTransform(context, parent.body_frame(), joint.frame_on_parent())
+            to_child = joint.frame_on_child().GetFixedPoseInBodyFrame().inverse()
+            if np.abs(to_child.translation()).max() > 1e-12:
+                raise ModelError(f"{self.robot.model.path}: joint {joint.name()!r} must lie at its child link's origin")
+            axis = joint.revolute_axis()
+            cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+            before, after = to_joint.rotation().matrix(), to_child.rotation().matrix()
+            # Rodrigues: I + sin(q) [a]x + (1 - cos(q)) [a]x^2
+            c0, c1, c2 = (before @ m @ after for m in (np.eye(3) + cross @ cross, cross, -cross @ cross))
+            steps.append(JointStep(c0, c1, c2, to_joint.translation(), before @ axis))
+            parent = joint.child_body()
+            masses.append(self._mass(parent, context))
+        end = plant.CalcRelativeTransform(context, parent.body_frame(), plant.GetFrameByName(foot)).translation()
+        return LimbChain(tuple(steps), end, np.array([m for m, _ in masses]), np.array([c for _, c in masses]))
 
     def pelvis(self, base: Vector) -> Pose:
         """Poses of the pelvis for base positions (x, y, angle) [m, rad], shape (K, 3)."""
@@ -215,8 +220,10 @@ class Kinematics:
             result[:, row, 0, robot.base_v[0]] = result[:, row, 1, robot.base_v[1]] = 1.0
             for pose, axis, column in [
                 (pelvis, np.array([0.0, 0.0, 1.0]), robot.base_v[2]),
-                *((link, parent.rotation @ step.axis, v) for link, parent, step, v in
-                  zip(links, [pelvis, *links], chain.steps, limb.v, strict=False)),
+                *(
+                    (link, parent.rotation @ step.axis, v)
+                    for link, parent, step, v in zip(links, [pelvis, *links], chain.steps, limb.v, strict=False)
+                ),
             ]:
                 result[:, row, :, column] = np.cross(np.broadcast_to(axis, foot.shape), foot - pose.origin)[:, :2]
         return result
