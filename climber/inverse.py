@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from climber.exceptions import ModelError
-from climber.kinematics import JointStep, LimbChain, Pose
+from climber.kinematics import LimbChain, Pose
 from climber.robot import Limb
 from climber.stance import Vector
 
@@ -38,17 +38,15 @@ class LimbInverse(Protocol):
         ...
 
 
-def _turn(step: JointStep) -> tuple[float, float]:
-    """Offset [rad] and sense (+1 or -1) of a joint that turns about its parent's z axis."""
-    rotation = step.c0 + step.c2
-    return float(np.arctan2(rotation[1, 0], rotation[0, 0])), float(np.sign(step.axis[2]))
-
-
 class TwoLinkInverse:
     """Closed form for the last two joints of a planar limb: the elbow bends one way (branch 0) or the other (1).
 
-    With link vectors a (between the two joints) and b (to the foot), the foot is at distance d from the first joint with
-    d^2 = |a|^2 + |b|^2 + 2 |a| |b| cos(psi), which fixes the elbow's bend psi up to its sign.
+    With link vectors a (between the two joints) and b (to the foot), the foot is at distance d from the first of them,
+
+        d^2 = |a|^2 + |b|^2 + 2 |a| |b| cos(psi),
+
+    which fixes the elbow's bend psi, the angle from a to b, up to its sign. All is expressed in the frame P of the link
+    that carries the first joint, so links' own frames may be turned or upside down in whatever way the model has them.
     """
 
     branches = 2
@@ -59,11 +57,17 @@ class TwoLinkInverse:
         self.leading = len(chain.steps) - 2
         self._chain = chain
         shoulder, elbow = chain.steps[-2:]
-        (self._offset_1, self._sense_1), (self._offset_2, self._sense_2) = _turn(shoulder), _turn(elbow)
-        self._a, self._b = elbow.origin[:2], chain.foot[:2]
-        self._length_a, self._length_b = float(np.linalg.norm(self._a)), float(np.linalg.norm(self._b))
-        self._angle_a, self._angle_b = (float(np.arctan2(p[1], p[0])) for p in (self._a, self._b))
-        self._middle = (limb.lower + limb.upper) / 2
+        # In P, with both joints at zero.
+        first = shoulder.c0 + shoulder.c2
+        a, b = first @ elbow.origin, first @ (elbow.c0 + elbow.c2) @ chain.foot
+        self._sense_1, self._sense_2 = float(np.sign(shoulder.axis[2])), float(np.sign((first @ elbow.axis)[2]))
+        self._length_a, self._length_b = float(np.hypot(a[0], a[1])), float(np.hypot(b[0], b[1]))
+        if min(self._length_a, self._length_b) < 1e-9:
+            raise ModelError(f"limb {limb.name!r}: the last two joints and the foot must lie apart in the x-y plane")
+        self._angle_a = float(np.arctan2(a[1], a[0]))
+        self._bend = float(np.arctan2(b[1], b[0])) - self._angle_a  # psi at zero
+        lower, upper = limb.one_turn
+        self._middle = (lower[-2:] + upper[-2:]) / 2
 
     @property
     def extent(self) -> tuple[float, float]:
@@ -85,17 +89,14 @@ class TwoLinkInverse:
         q[:, :, : self.leading] = leading[:, None, :]
         towards = np.arctan2(d[:, 1], d[:, 0])
         for branch, psi in enumerate((bend, -bend)):
-            turned = psi + self._angle_a  # direction of b in the frame of a
-            chord = np.arctan2(
-                self._a[1] + self._length_b * np.sin(turned), self._a[0] + self._length_b * np.cos(turned)
-            )
-            q[:, branch, -2] = self._sense_1 * (towards - chord - self._offset_1)
-            q[:, branch, -1] = self._sense_2 * (turned - self._angle_b - self._offset_2)
+            # From a to the foot, turned about the first joint.
+            foot = np.arctan2(self._length_b * np.sin(psi), self._length_a + self._length_b * np.cos(psi))
+            q[:, branch, -2] = self._sense_1 * (towards - foot - self._angle_a)
+            q[:, branch, -1] = self._sense_2 * (psi - self._bend)
         # Of the equivalent angles take the one nearest the middle of the joint's range.
-        q[:, :, -2:] -= 2 * np.pi * np.round((q[:, :, -2:] - self._middle[-2:]) / (2 * np.pi))
+        q[:, :, -2:] -= 2 * np.pi * np.round((q[:, :, -2:] - self._middle) / (2 * np.pi))
         return q, slack
 
     def branch(self, q: Vector) -> int:
         """The branch that the joint angles `q` [rad], shape (num_joints,), lie on."""
-        psi = self._sense_2 * q[-1] + self._offset_2 + self._angle_b - self._angle_a
-        return int(np.sin(psi) < 0)
+        return int(np.sin(self._bend + self._sense_2 * q[-1]) < 0)
