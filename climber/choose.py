@@ -1,8 +1,8 @@
 """Which of the transition postures found to use: a shortest path through layers of candidates.
 
-Along a climb, layers follow one another: postures to start from, then for every move where its limb may let go and where
-it has taken hold, then postures that reach the goal. Between neighbouring layers the robot shifts or swings. Motions
-whose ends bend the holding limbs alike are nearly always easy, so a flip of an elbow counts like a long way.
+Along a climb, layers follow one another: postures to start from, then for every move where its limb may let go and
+where it has taken hold, then postures that reach the goal. Between neighbouring layers the robot shifts or swings.
+Motions whose ends bend the holding limbs alike are nearly always easy, so a flip of an elbow counts like a long way.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from climber.path import unwound
+from climber.robot import Indices
 from climber.stance import Contact, Vector
 
 FLIP = 4.0  # what an elbow flip counts as, in joint-space length [rad]
@@ -30,7 +31,7 @@ class Layer:
 
     contacts: tuple[Contact, ...]
     q: Vector
-    branches: Vector
+    branches: Indices
     holding: tuple[int, ...]
 
 

@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from climber.clearance import Clearance
 from climber.inverse import TwoLinkInverse
 from climber.kinematics import Kinematics, Pose
-from climber.robot import Robot
+from climber.robot import Indices, Robot
 from climber.stance import Contact, Vector
 from climber.wall import Wall
 
@@ -55,9 +56,7 @@ class Body:
 
     def branches(self, q: Vector) -> tuple[int, ...]:
         """The branch of every limb at the configuration `q`, shape (nq,)."""
-        return tuple(
-            inverse.branch(q[limb.q]) for inverse, limb in zip(self.inverse, self.robot.limbs, strict=True)
-        )
+        return tuple(inverse.branch(q[limb.q]) for inverse, limb in zip(self.inverse, self.robot.limbs, strict=True))
 
 
 class Chart:
@@ -82,7 +81,7 @@ class Chart:
         self.independent = np.array(places, dtype=np.int64)
 
     @cached_property
-    def dependent(self) -> Vector:
+    def dependent(self) -> Indices:
         """Places in the plant's positions of what follows from `u`."""
         return np.setdiff1d(np.arange(self.body.robot.plant.num_positions()), self.independent)
 
@@ -172,7 +171,7 @@ class Manifold:
             result[good] = np.minimum(result[good], self.body.clearance(chosen) - self.margins.clearance)
         return result
 
-    def feasible(self, chart: Chart, u: Vector) -> Vector:
+    def feasible(self, chart: Chart, u: Vector) -> NDArray[np.bool_]:
         """Which chart coordinates `u`, shape (K, num_coordinates), are feasible; shape (K,), bool."""
         q, reach = chart.expand(u)
         good = reach >= self.margins.reach

@@ -2,8 +2,8 @@
 
 Both are the same thing. On a stance, with one of its limbs about to leave or just arrived, the robot keeps all contacts
 while the others alone can already hold it. A move is possible only if such a posture exists at its start stance and at
-its end stance; the disks of the stance graph only say that it might. What is found here is shared by all moves that leave
-the stance with that limb and all that arrive with it.
+its end stance; the disks of the stance graph only say that it might. What is found here is shared by all moves that
+leave the stance with that limb and all that arrive with it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from climber.kinematics import Pose
 from climber.manifold import Body, Manifold, Margins
@@ -22,6 +23,7 @@ from climber.programs.support import contact_intervals
 from climber.stance import Contact, Posture, Vector
 
 Kind = Literal["proved", "budget"]
+Branches = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -44,14 +46,14 @@ class Postures:
     Attributes:
         contacts: The contacts, in limb order.
         q: Configurations, shape (M, nq).
-        branches: Branch of each limb, shape (M, num_limbs).
+        branches: Branch of each limb, shape (M, num_limbs); that of a limb in the air means nothing.
         slack: By how much each is feasible, see `Manifold.slack`, shape (M,).
         failure: Why there are none, if M is zero.
     """
 
     contacts: tuple[Contact, ...]
     q: Vector
-    branches: Vector
+    branches: Branches
     slack: Vector
     failure: Failure | None = None
 
@@ -79,7 +81,7 @@ def _enclosing_circles(points: Vector) -> tuple[Vector, Vector]:
         return points[:, 0], np.zeros(len(points))
     best_center, best_radius = np.zeros((len(points), 2)), np.full(len(points), -1.0)
 
-    def offer(center: Vector, radius: Vector, valid: Vector) -> None:
+    def offer(center: Vector, radius: Vector, valid: NDArray[np.bool_]) -> None:
         better = valid & (radius > best_radius)
         best_center[better], best_radius[better] = center[better], radius[better]
 
@@ -90,7 +92,9 @@ def _enclosing_circles(points: Vector) -> tuple[Vector, Vector]:
         a, b, c = points[:, i], points[:, j] - points[:, i], points[:, k] - points[:, i]
         twice = 2 * (b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0])
         bb, cc = (b**2).sum(axis=1), (c**2).sum(axis=1)
-        acute = (bb + cc > ((b - c) ** 2).sum(axis=1)) & ((b * (b - c)).sum(axis=1) > 0) & ((c * (c - b)).sum(axis=1) > 0)
+        acute = (
+            (bb + cc > ((b - c) ** 2).sum(axis=1)) & ((b * (b - c)).sum(axis=1) > 0) & ((c * (c - b)).sum(axis=1) > 0)
+        )
         safe = np.where(np.abs(twice) > 1e-15, twice, 1.0)
         ux, uy = (c[:, 1] * bb - b[:, 1] * cc) / safe, (b[:, 0] * cc - c[:, 0] * bb) / safe
         offer(a + np.column_stack([ux, uy]), np.hypot(ux, uy), acute & (np.abs(twice) > 1e-15))
@@ -113,9 +117,7 @@ class PostureSampler:
         self.body, self.manifold = body, manifold
         chains = body.kinematics.chains
         self._hips = np.array([chain.steps[0].origin[:2] for chain in chains])
-        self._lengths = np.array(
-            [limb.reach for limb in body.robot.limbs] - np.linalg.norm(self._hips, axis=1)
-        )
+        self._lengths = np.array([limb.reach for limb in body.robot.limbs] - np.linalg.norm(self._hips, axis=1))
         self._holding = np.array(sorted(manifold.points))
         counts = [inverse.branches if i in manifold.points else 1 for i, inverse in enumerate(body.inverse)]
         self._combinations = np.array(list(itertools.product(*(range(count) for count in counts))))
@@ -145,7 +147,7 @@ class PostureSampler:
         """Whether it is certain that no pelvis pose lets all limbs reach their holds."""
         return not len(self._angles[0])
 
-    def draw(self, rng: np.random.Generator, count: int) -> tuple[Vector, Vector, Vector, int]:
+    def draw(self, rng: np.random.Generator, count: int) -> tuple[Vector, Branches, Vector, int]:
         """Draws `count` pelvis poses and keeps the feasible postures among all their branches.
 
         Returns:
@@ -172,12 +174,13 @@ class PostureSampler:
         angles, fits, moments = [], [], []
         for i, (limb, inverse, chain) in enumerate(zip(robot.limbs, body.inverse, body.kinematics.chains, strict=True)):
             free = inverse.leading if i in self.manifold.points else len(limb.q)
-            leading = rng.uniform(limb.lower[:free], limb.upper[:free], (len(base), free))
+            lower, upper = limb.one_turn
+            leading = rng.uniform(lower[:free], upper[:free], (len(base), free))
             if i in self.manifold.points:
                 solved, reach = inverse.solve(pelvis, leading, self.manifold.points[i])
             else:
                 solved, reach = leading[:, None, :], np.full(len(base), np.inf)
-            inside = np.minimum(solved - limb.lower, limb.upper - solved).min(axis=2) >= self.manifold.margins.joint
+            inside = np.minimum(solved - lower, upper - solved).min(axis=2) >= self.manifold.margins.joint
             fits.append(inside & (reach >= self.manifold.margins.reach)[:, None])
             angles.append(solved)
             moments.append(
@@ -185,7 +188,7 @@ class PostureSampler:
             )
         places = self._combinations.T
         fit = np.logical_and.reduce([f[:, b] for f, b in zip(fits, places, strict=True)])
-        moment = sum(m[:, b] for m, b in zip(moments, places, strict=True))
+        moment = np.add.reduce([m[:, b] for m, b in zip(moments, places, strict=True)])
         own = body.kinematics.pelvis_mass * pelvis.point(body.kinematics.pelvis_center)[:, :1]
         abscissa = (own + moment) / robot.mass
         lower, upper = self.manifold.balanced
@@ -211,13 +214,13 @@ def between(before: Manifold, after: Manifold) -> Manifold:
     return Manifold(before.body, contacts, (max(lower), min(upper)), exact)
 
 
-def _spread(q: Vector, branches: Vector, slack: Vector, most: int) -> Vector:
+def _spread(branches: Branches, slack: Vector, most: int) -> NDArray[np.int64]:
     """Places of at most `most` postures: the roomiest of each branch combination in turn."""
     kind = np.unique(branches, axis=0, return_inverse=True)[1].reshape(-1)
     order = np.lexsort((-slack, kind))
     first = np.flatnonzero(np.diff(kind[order], prepend=-1))
     rank = np.arange(len(order)) - np.repeat(first, np.diff(np.append(first, len(order))))
-    result: Vector = order[np.lexsort((-slack[order], rank))][:most]
+    result: NDArray[np.int64] = order[np.lexsort((-slack[order], rank))][:most]
     return result
 
 
@@ -254,7 +257,8 @@ def find_transition(
         reason = f"the support intervals with and without {name} lie {gap:.4f} m apart"
         return Postures(ordered, *empty, Failure("proved", reason))
     both = between(
-        Manifold(body, [c for c in ordered if c.limb != limb], holding, margins), Manifold(body, ordered, touching, margins)
+        Manifold(body, [c for c in ordered if c.limb != limb], holding, margins),
+        Manifold(body, ordered, touching, margins),
     )
     if both.support[0] > both.support[1]:
         reason = f"the support intervals with and without {name} share only {-gap:.4f} m, less than the margins ask"
@@ -268,7 +272,7 @@ def find_transition(
         q, branches, slack, with_inverse = sampler.draw(rng, count)
         reachable, drawn = reachable + with_inverse, drawn + count
         if len(q):
-            chosen = _spread(q, branches, slack, most)
+            chosen = _spread(branches, slack, most)
             return Postures(ordered, q[chosen], branches[chosen], slack[chosen])
     what = "with the centre of mass supported and no collision" if reachable else "with every limb on its hold"
     return Postures(ordered, *empty, Failure("budget", f"no posture {what} among {drawn} pelvis poses"))
