@@ -10,6 +10,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -141,7 +142,7 @@ def _solve(options: argparse.Namespace) -> int:
 def _told(stances: Sequence[dict[str, int]]) -> list[str]:
     """Each move in words."""
     lines = []
-    for number, (before, after) in enumerate(zip(stances, stances[1:], strict=False), start=1):
+    for number, (before, after) in enumerate(pairwise(stances), start=1):
         for limb in before:
             if before[limb] != after[limb]:
                 lines.append(f"{number:3d}. {limb.replace('_', ' ')} from hold {before[limb]} to hold {after[limb]}")

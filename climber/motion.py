@@ -1,9 +1,9 @@
 """Motions: the continuous climb through a sequence of moves, phase by phase.
 
-For every move there are postures to let go in and postures to take hold in (`transition`); one of each is chosen for the
-whole climb (`choose`) and improved; between them run paths on the manifold of the limbs that hold (`path`), smoothed
-and shortened (`programs.trajectory`), timed (`timing`), and slowed until contact forces inside the friction cones and
-torques inside the limits produce them (`programs.torque`). The robot shifts with all limbs in contact, then swings
+For every move there are postures to let go in and postures to take hold in (`transition`); one of each is chosen for
+the whole climb (`choose`) and improved; between them run paths on the manifold of the limbs that hold (`path`),
+smoothed and shortened (`programs.trajectory`), timed (`timing`), and slowed until contact forces inside the friction
+cones and torques inside the limits produce them (`programs.torque`). The robot shifts with all limbs in contact, then swings
 one, and so on; it stands still whenever contacts change.
 """
 
@@ -21,7 +21,7 @@ from shapely.geometry.base import BaseGeometry
 from climber.choose import Candidates, Layer
 from climber.dynamics import evaluate
 from climber.manifold import Body, Manifold, Margins
-from climber.path import Search, find_path, unwound
+from climber.path import Search, clear, find_path, unwound
 from climber.programs.posture import improve_posture
 from climber.programs.torque import phase_torques, static_feasible
 from climber.programs.trajectory import refine
@@ -49,7 +49,7 @@ class MotionBudget:
     samples: int = 20_000
     postures: int = 24
     attempts: int = 12
-    iterations: int = 400
+    iterations: int = 100
     pace: float = 0.6
     rate: float = 100.0
     slowest: float = 30.0
@@ -57,7 +57,7 @@ class MotionBudget:
     @property
     def rounds(self) -> tuple[int, ...]:
         """Pelvis poses drawn in successive rounds: a few settle most cases."""
-        return tuple(n for n in (500, 4_000) if n < self.samples) + (self.samples,)
+        return (*(n for n in (500, 4_000) if n < self.samples), self.samples)
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,9 @@ class MotionPlanner:
             failure = Failure("budget", f"{failure.reason}, nor at four other points of the patch")
         return replace(first, failure=failure)
 
-    def contacts_after(self, contacts: tuple[Contact, ...], move: Move) -> tuple[tuple[Contact, ...], list[MoveFailure]]:
+    def contacts_after(
+        self, contacts: tuple[Contact, ...], move: Move
+    ) -> tuple[tuple[Contact, ...], list[MoveFailure]]:
         """The contacts after a move, and which of its two ends have no posture."""
         failures = []
         leaving = self.transition(contacts, move.limb)
@@ -198,7 +200,7 @@ class MotionPlanner:
 
     def standing(self, contacts: tuple[Contact, ...], region: BaseGeometry | None = None) -> Postures:
         """Postures at rest on all contacts, with the pelvis's origin in a region of the wall plane if one is given."""
-        empty = Postures(contacts, np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0))
+        empty = Postures(contacts, np.zeros((0, 0)), np.zeros((0, 0), dtype=np.int64), np.zeros(0))
         manifold = self.manifold(contacts)
         if manifold is None:
             return replace(empty, failure=Failure("proved", "no forces of all limbs balance gravity"))
@@ -216,7 +218,9 @@ class MotionPlanner:
                 if len(found):
                     return found
         where = "" if region is None else " with the pelvis in the region"
-        return replace(empty, failure=Failure("budget", f"no posture{where} among {sum(self.budget.rounds)} pelvis poses"))
+        return replace(
+            empty, failure=Failure("budget", f"no posture{where} among {sum(self.budget.rounds)} pelvis poses")
+        )
 
     def plan(
         self,
@@ -252,7 +256,7 @@ class MotionPlanner:
                     motion = self._phase(phase, a, b)
                     if isinstance(motion, MoveFailure):
                         tried[i] += 1
-                        candidates.barred.add(key)
+                        self._bar(candidates, phase, key)
                         break
                     done[key] = motion
                     report(len({k[0] for k in done}), len(phases))
@@ -295,6 +299,29 @@ class MotionPlanner:
         layers.append(Layer(contacts, final.q, final.branches, every))
         return Candidates(layers, int(self.body.robot.base_q[-1])), phases
 
+    def _bar(self, candidates: Candidates, phase: _Phase, key: tuple[int, int, int]) -> None:
+        """Bars a phase that did not work out, and with it all between postures that lie in the same pieces.
+
+        What one straight line joins is one piece of the stance's feasible set. To try its other postures would be to
+        try the same again.
+        """
+        i, *ends = key
+        pieces = []
+        for layer, end in zip(candidates.layers[i : i + 2], ends, strict=True):
+            own = layer.q[end]
+            chart = phase.manifold.chart(own)
+            others = unwound(layer.q, own, candidates.angle)
+            alike = (layer.branches == layer.branches[end])[:, list(layer.holding)].all(axis=1)
+            at = chart.coordinates(own)
+            pieces.append(
+                [
+                    j
+                    for j in range(len(layer.q))
+                    if j == end or (alike[j] and clear(phase.manifold, chart, at, chart.coordinates(others[j])))
+                ]
+            )
+        candidates.barred.update((i, a, b) for a in pieces[0] for b in pieces[1])
+
     def _improve(self, candidates: Candidates, phases: list[_Phase], chosen: list[int]) -> list[int]:
         """Draws the chosen postures towards their neighbours; each better one joins its layer's candidates."""
         angle = candidates.angle
@@ -331,7 +358,9 @@ class MotionPlanner:
         for leg in legs:
             curve = refine(manifold, leg.chart, leg.u)
             if curve is None:
-                return MoveFailure(phase.move, "motion", Failure("budget", "the path found grazes a limit when looked at closely"))
+                return MoveFailure(
+                    phase.move, "motion", Failure("budget", "the path found grazes a limit when looked at closely")
+                )
             paced.append(PacedPath(curve))
         began = clock.perf_counter()
         result = self._timed(phase, paced)
@@ -341,14 +370,23 @@ class MotionPlanner:
     def _timed(self, phase: _Phase, paced: list[PacedPath]) -> PhaseMotion | MoveFailure:
         """The phase as fast as the pace allows, or slowed until forces and torques produce it."""
         holding = [c.limb for c in phase.manifold.contacts]
-        slowing = 1.0
+        slowing, why = 1.0, ""
         while True:
             durations = [max(0.1, slowing * PEAK * path.length / self.budget.pace) for path in paced]
             if sum(durations) > self.budget.slowest and slowing > 1.0:
-                return MoveFailure(phase.move, "torque", Failure("budget", f"even slowed to {sum(durations):.0f} s: {why}"))
-            samples = joined([path.samples(d, int(np.ceil(d * self.budget.rate)) + 1) for path, d in zip(paced, durations)])
+                return MoveFailure(
+                    phase.move, "torque", Failure("budget", f"even slowed to {sum(durations):.0f} s: {why}")
+                )
+            samples = joined(
+                [
+                    path.samples(d, int(np.ceil(d * self.budget.rate)) + 1)
+                    for path, d in zip(paced, durations, strict=True)
+                ]
+            )
             dynamics = evaluate(self.body.robot, samples.q, samples.v, holding)
-            torques = phase_torques(self.body.robot, self.body.wall, list(phase.manifold.contacts), dynamics, samples.vd)
+            torques = phase_torques(
+                self.body.robot, self.body.wall, list(phase.manifold.contacts), dynamics, samples.vd
+            )
             if torques.ok.all():
                 return PhaseMotion(
                     phase.limb, phase.move, phase.manifold.contacts, samples, torques.force, torques.torque

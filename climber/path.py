@@ -15,7 +15,7 @@ import numpy as np
 
 from climber.manifold import Chart, Manifold
 from climber.stance import Vector
-from climber.transition import PostureSampler
+from climber.transition import Branches, PostureSampler
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def line(chart: Chart, a: Vector, b: Vector, step: float) -> Vector:
     return result
 
 
-def clear(manifold: Manifold, chart: Chart, a: Vector, b: Vector, step: float) -> bool:
+def clear(manifold: Manifold, chart: Chart, a: Vector, b: Vector, step: float = Search.step) -> bool:
     """Whether the straight line between two chart points is feasible at every checked point."""
     points = line(chart, a, b, step)
     # Trouble is likeliest in the middle, and a coarse look settles most failures at a quarter of the cost.
@@ -214,7 +214,7 @@ def _vias(
     b: Vector,
     turning: tuple[int, ...],
     q: Vector,
-    branches: Vector,
+    branches: Branches,
     here: Vector,
     holding: list[int],
     search: Search,

@@ -4,8 +4,9 @@
                                    ^                              |             |
                                    +---- cut the moves that failed, ask again --+
 
-The task planner proposes the cheapest of the shortest climbs on the stance graph. Every move of it must have postures to
-let go and to take hold in, and then a motion; a move that has not is cut, with the reason, and the task planner asked again.
+The task planner proposes the cheapest of the shortest climbs on the stance graph. Every move of it must have postures
+to let go and to take hold in, and then a motion; a move that has not is cut, with the reason, and the task planner
+asked again.
 What it returns is shortest and cheapest on the graph less the cuts.
 """
 
@@ -150,9 +151,9 @@ class _ClimbSearch:
         stance = None if goal.stance is None else Stance(tuple(goal.stance[name] for name in self.robot.limb_names))
         goals = graph.goal_vertices(holds=goal.holds, stance=stance, region=self.region)
         tasks = TaskPlanner(graph.num_vertices, graph.tail, graph.head, graph.cost, graph.start, goals.tolist())
-        avoided = np.isin(graph.stances, self.spec.avoid.holds).any(axis=1)
-        if avoided.any():
-            tasks.cut(np.flatnonzero(avoided[graph.head]))
+        if self.spec.avoid.holds:
+            avoided = np.isin(graph.stances[graph.head], self.spec.avoid.holds).any(axis=1)
+            tasks.cut(np.flatnonzero(avoided))
         self.times["graph"] = clock.perf_counter() - began
         self.times["task"] = 0.0
         self.report(f"stance graph: {graph.num_vertices} stances, {graph.num_edges} moves, {len(goals)} goal stances")
@@ -176,7 +177,9 @@ class _ClimbSearch:
     def _none(self, reason: str, graph: StanceGraph, *, proved: bool) -> NoPlanFound:
         budget = sum(cut.kind == "budget" for cut in self.cuts)
         answer = "no climb exists" if proved else "no climb was found, which does not prove that none exists"
-        cuts = f"{len(self.cuts)} moves were given up, {budget} of them because a search ended without finding any motion"
+        cuts = (
+            f"{len(self.cuts)} moves were given up, {budget} of them because a search ended without finding any motion"
+        )
         return NoPlanFound(
             f"{self.scenario.name}: {answer}: {reason}; {cuts if self.cuts else 'no move was given up'}",
             proved=proved,
@@ -295,5 +298,3 @@ def _refuse_what_comes_later(scenario: Scenario) -> None:
         raise scenario.error("robots[0].waypoints", len(robot.waypoints), "none; they are not planned for as yet")
     if taken_at_start := sorted(set(robot.start.values()) & set(robot.avoid.holds)):
         raise scenario.error("robots[0].avoid.holds", taken_at_start, "holds that the robot does not start on")
-
-

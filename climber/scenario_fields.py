@@ -90,7 +90,7 @@ class HoldDefaults:
     """
 
     half_width: float = field(default=0.01, metadata=rule(at_least=0.0))
-    min_force: float = field(default=2.0, metadata=rule(at_least=0.0))
+    min_force: float = field(default=0.5, metadata=rule(at_least=0.0))
     max_force: float = field(default=20.0, metadata=rule(above=0.0))
     friction: float = field(default=0.6, metadata=rule(at_least=0.0))
     grip: str = field(default="friction", metadata=rule(choices=GRIPS))
@@ -241,7 +241,7 @@ class Budget:
     posture_samples: int = field(default=20_000, metadata=rule(at_least=1))
     postures: int = field(default=24, metadata=rule(at_least=1))
     path_attempts: int = field(default=12, metadata=rule(at_least=1))
-    path_iterations: int = field(default=400, metadata=rule(at_least=1))
+    path_iterations: int = field(default=100, metadata=rule(at_least=1))
     sample_rate_hz: float = field(default=100.0, metadata=rule(at_least=100.0, at_most=10_000.0))
     longest_phase_s: float = field(default=30.0, metadata=rule(above=0.0))
 

@@ -23,7 +23,7 @@ class Stance:
 
     def moved(self, limb: int, hold: int) -> Stance:
         """The stance after `limb` has gone to `hold`, the other limbs staying."""
-        return Stance(self.holds[:limb] + (hold,) + self.holds[limb + 1 :])
+        return Stance((*self.holds[:limb], hold, *self.holds[limb + 1 :]))
 
     def permuted(self, permutation: Iterable[int]) -> Stance:
         """The stance in which limb `i` stands where limb `permutation[i]` stood."""

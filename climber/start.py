@@ -29,7 +29,9 @@ def start_postures(scenario: Scenario, index: int, planner: MotionPlanner, stanc
     if q is None:
         given = {name: round(angle, 4) for name, angle in spec.start_posture.items()}
         raise scenario.error(
-            f"{path}_posture", given, f"joint angles, met within {AGREEMENT:g} rad, that the robot can hold on its start stance"
+            f"{path}_posture",
+            given,
+            f"joint angles, met within {AGREEMENT:g} rad, that the robot can hold on its start stance",
         )
     branches = np.array([planner.body.branches(q)])
     return Postures(found.contacts, q[None], branches, np.zeros(1))
@@ -40,7 +42,7 @@ def _matched(planner: MotionPlanner, found: Postures, wanted: dict[str, float]) 
 
     Each sampled posture is pulled there along its chart; those that bend their limbs the same way come first.
     """
-    body, robot = planner.body, planner.body.robot
+    robot = planner.body.robot
     places = np.array([robot.position_names.index(name) for name in wanted])
     angles = np.array(list(wanted.values()))
     manifold = planner.manifold(found.contacts)

@@ -1,0 +1,154 @@
+"""From a scenario to a plan that holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from climber.exceptions import NoPlanFound, ScenarioError
+from climber.plan import plan_climb
+from climber.plan_file import Plan
+from climber.scenario import Scenario, load_scenario, scenario_from_text
+from climber.verify import verify
+
+
+@pytest.fixture(scope="module")
+def basic() -> Plan:
+    return plan_climb(load_scenario("basic"))
+
+
+def edited(name: str, *changes: tuple[str, str]) -> Scenario:
+    """A scenario that comes with climber, with parts of its text replaced."""
+    text = load_scenario(name).source
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return scenario_from_text(text, f"{name}, edited")
+
+
+def test_the_basic_climb_holds_up(basic: Plan) -> None:
+    verdict = verify(basic)
+    assert verdict.ok, str(verdict)
+
+
+def test_the_basic_climb_takes_thirteen_moves_proved_on_what_is_left_of_the_graph(basic: Plan) -> None:
+    robot = basic.robots[0]
+    assert robot.moves == 13
+    assert robot.proofs["moves"] is True
+    assert robot.proofs["cost"] is True
+
+
+def test_phases_alternate_and_begin_and_end_with_a_shift(basic: Plan) -> None:
+    kinds = [phase.kind for phase in basic.robots[0].phases]
+    assert kinds == ["shift", "swing"] * 13 + ["shift"]
+
+
+def test_every_cut_says_why(basic: Plan) -> None:
+    cuts = basic.robots[0].cuts
+    assert cuts
+    for cut in cuts:
+        assert cut.kind in ("proved", "budget")
+        assert len(cut.reason) > 10
+
+
+def test_the_same_seed_gives_the_same_plan(basic: Plan) -> None:
+    again = plan_climb(load_scenario("basic"))
+    for one, two in zip(basic.robots[0].phases, again.robots[0].phases, strict=True):
+        np.testing.assert_array_equal(one.q, two.q)
+        np.testing.assert_array_equal(one.torque, two.torque)
+
+
+def test_another_seed_gives_another_motion_that_holds_up_too() -> None:
+    other = plan_climb(load_scenario("basic"), seed=7)
+    assert other.seed == 7
+    assert verify(other).ok
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_higher_climb_holds_up(seed: int) -> None:
+    plan = plan_climb(load_scenario("higher"), seed=seed)
+    verdict = verify(plan)
+    assert verdict.ok, str(verdict)
+    assert plan.robots[0].proofs["cost"] is True
+
+
+def test_a_wall_with_an_obstacle_in_the_way_is_climbed_around_it() -> None:
+    scenario = edited(
+        "higher", ("robots:\n", "  obstacles:\n  - circle: {center: [0.40, 0.62], radius: 0.02}\nrobots:\n")
+    )
+    assert len(scenario.wall.obstacles) == 1
+    verdict = verify(plan_climb(scenario))
+    assert verdict.ok, str(verdict)
+
+
+def test_avoided_holds_are_not_stood_on() -> None:
+    free = plan_climb(load_scenario("higher"))
+    used = {hold for stance in free.robots[0].stances for hold in stance.values()}
+    spec = load_scenario("higher").robots[0]
+    ends = set(spec.start.values()) | set(spec.goal.holds or ())
+    avoided = min(used - ends)
+    scenario = load_scenario("higher")
+    scenario.robots[0].avoid.holds = [avoided]
+    plan = plan_climb(scenario)
+    assert avoided not in {hold for stance in plan.robots[0].stances for hold in stance.values()}
+
+
+def test_a_goal_out_of_reach_of_every_stance_is_proved_impossible() -> None:
+    scenario = edited("basic", ("  - {position: [0.407017, -0.014286]", "  - {position: [0.407017, -9.014286]"))
+    with pytest.raises(NoPlanFound) as raised:
+        plan_climb(scenario)
+    assert raised.value.proved
+    assert raised.value.counts
+
+
+def test_two_newtons_on_every_foot_leave_no_climb_found_and_it_is_not_called_proved() -> None:
+    with pytest.raises(NoPlanFound) as raised:
+        plan_climb(edited("basic", ("min_force: 0.5", "min_force: 2.0")))
+    assert not raised.value.proved
+    assert raised.value.cuts
+
+
+def test_a_start_that_cannot_be_held_is_an_error_in_the_scenario() -> None:
+    scenario = edited("basic", ("friction: 0.6166", "friction: 0.0"), ("friction: 0.6414", "friction: 0.0"))
+    scenario.wall.hold_defaults.friction = 0.0
+    for hold in scenario.wall.holds:
+        hold.friction, hold.normal = 0.0, [1.0, 0.0]
+    with pytest.raises(ScenarioError, match=r"robots\[0\]\.start"):
+        plan_climb(scenario)
+
+
+def test_a_prescribed_start_posture_is_the_first_sample(basic: Plan) -> None:
+    robot = basic.robots[0]
+    q = robot.phases[2].q[0] * 0 + robot.phases[0].q[0]
+    wanted = {name: float(q[robot.positions.index(name)]) for name in robot.joints}
+    scenario = load_scenario("basic")
+    scenario.robots[0].start_posture = wanted
+    first = plan_climb(scenario).robots[0].phases[0].q[0]
+    for name, angle in wanted.items():
+        assert first[robot.positions.index(name)] == pytest.approx(angle, abs=2e-3)
+
+
+def test_an_impossible_start_posture_is_an_error() -> None:
+    scenario = load_scenario("basic")
+    scenario.robots[0].start_posture = {"right_front_knee": 2.6, "left_rear_knee": 2.6, "right_rear_knee": 2.6}
+    with pytest.raises(ScenarioError, match="start_posture"):
+        plan_climb(scenario)
+
+
+def test_no_time_is_not_the_same_as_no_climb() -> None:
+    with pytest.raises(NoPlanFound) as raised:
+        plan_climb(load_scenario("higher"), time_limit=1e-3)
+    assert not raised.value.proved
+    assert "time limit" in str(raised.value)
+
+
+def test_a_goal_that_is_only_a_region_ends_with_the_pelvis_in_it() -> None:
+    scenario = load_scenario("higher")
+    scenario.robots[0].goal = replace(scenario.robots[0].goal, holds=None)
+    region = scenario.robots[0].goal.pelvis
+    assert region is not None
+    robot = plan_climb(scenario).robots[0]
+    x, y = robot.phases[-1].q[-1][:2]
+    assert region.distance(x, y) == 0.0
