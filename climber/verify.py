@@ -3,8 +3,7 @@
 A program that checks must not share the mistakes of the one that made the plan, so nothing of the planner is used here:
 no stance graph, manifold, motion or program, only the file (`plan_file`), the scenario in it (`scenario`, `wall`) and
 the model (`robot`). What is asked of a plan, and how exactly, is listed in `verify_rules`. What is *not* checked: that
-the plan has the fewest moves or the least cost, that cut moves are impossible, and what happens farther than linear
-interpolation between samples can tell.
+the plan has the fewest moves or the least cost, that cut moves are impossible, and whether several robots meet.
 """
 
 from __future__ import annotations
