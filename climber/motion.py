@@ -3,8 +3,8 @@
 For every move there are postures to let go in and postures to take hold in (`transition`); one of each is chosen for
 the whole climb (`choose`) and improved; between them run paths on the manifold of the limbs that hold (`path`),
 smoothed and shortened (`programs.trajectory`), timed (`timing`), and slowed until contact forces inside the friction
-cones and torques inside the limits produce them (`programs.torque`). The robot shifts with all limbs in contact, then swings
-one, and so on; it stands still whenever contacts change.
+cones and torques inside the limits produce them (`programs.torque`). The robot shifts with all limbs in contact, then
+swings one, and so on; it stands still whenever contacts change.
 """
 
 from __future__ import annotations
