@@ -261,16 +261,19 @@ def build_stance_graph(wall: Wall, robot: GraphRobot, start: Stance, weights: We
     poses = find_poses(positions, reach, rotations, counts)
     start_pose, start_lift = _find_start(start, poses, positions, reach, rotations)
     releases = Releases.of(poses, rotations.period)
-    _, releases = start_component(releases, len(poses), rotations, start_pose * rotations.copies + start_lift, counts)
-    moves, supports, intervals = find_moves(wall, reach, robot.mass, weights, rotations, poses, releases, counts)
+    start_state = start_pose * rotations.copies + start_lift
+    reached, releases = start_component(releases, len(poses), rotations, start_state, counts)
+    moves, supports, intervals = find_moves(
+        wall, reach, robot.mass, weights, rotations, poses, reached, releases, counts
+    )
     ends = np.zeros(len(poses), dtype=bool)
     ends[moves.tail] = ends[moves.head] = True
     counts["graph_nodes"], counts["graph_edges_undirected"] = int(ends.sum()), counts["stable_pairs"]
 
     start_vertex = start_pose * rotations.lifts + start_lift % rotations.lifts
-    reached, source, lift, head = _lift(moves, len(poses), rotations, start_vertex)
-    number = (np.cumsum(reached) - 1).astype(np.int32)  # of the vertices that are reached
-    vertices = np.flatnonzero(reached)
+    kept, source, lift, head = _lift(moves, len(poses), rotations, start_vertex)
+    number = (np.cumsum(kept) - 1).astype(np.int32)
+    vertices = np.flatnonzero(kept)
     pose, turned = np.divmod(vertices, rotations.lifts)
     stances = poses[pose[:, None], (np.arange(len(reach)) + rotations.period * turned[:, None]) % len(reach)]
     counts["vertices"], counts["edges"] = len(vertices), len(source)

@@ -41,7 +41,7 @@ def reachable_sets(positions: Vector, size: int, reach: float) -> Ints:
     sets: Ints = np.sort(pairs, axis=1).astype(np.int32)
     sets = sets[np.lexsort((sets[:, 1], sets[:, 0]))]
     squares = squared_distance(positions, sets[:, 0], sets[:, 1])[:, None]  # from the last hold to the others
-    prefix: Places = sets[:, 0].astype(np.int64)  # sets with the same number share all but their last hold
+    prefix: Ints = sets[:, 0]  # sets with the same number share all but their last hold
     while sets.shape[1] < size:
         found = []
         for a, b in later_partners(prefix):
@@ -50,7 +50,7 @@ def reachable_sets(positions: Vector, size: int, reach: float) -> Ints:
             for to_a, to_b in zip(squares[a].T, squares[b].T, strict=True):
                 fits &= triangle_fits(to_a, to_b, apart, reach)
             a, b = a[fits], b[fits]
-            found.append((a, sets[b, -1], np.column_stack([squares[b], apart[fits]])))
+            found.append((a.astype(np.int32), sets[b, -1], np.column_stack([squares[b], apart[fits]])))
         prefix, last, squares = (np.concatenate(column) for column in zip(*found, strict=True))
         sets = np.column_stack([sets[prefix], last])
     return sets
@@ -69,9 +69,9 @@ class Releases:
         support: Number of the support that is left, not decreasing, shape (R,).
     """
 
-    pose: Places
-    place: Places
-    support: Places
+    pose: Ints
+    place: Ints
+    support: Ints
 
     @classmethod
     def of(cls, poses: Ints, period: int) -> Releases:
@@ -94,15 +94,17 @@ class Releases:
         key = key.ravel()
         order = key.argsort()  # equal keys in any order: what is built from them is sorted again
         key = key[order]
-        support = np.concatenate([np.zeros(min(1, len(key)), dtype=np.int64), np.cumsum(key[1:] != key[:-1])])
-        return cls(order // n, order % n, support)
+        support = np.zeros(len(key), dtype=np.int32)
+        np.cumsum(key[1:] != key[:-1], out=support[1:])
+        pose, place = np.divmod(order.astype(np.int32), np.int32(n))
+        return cls(pose, place, support)
 
-    def __getitem__(self, rows: NDArray[np.bool_] | slice) -> Releases:
+    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.integer]) -> Releases:
         """Some of the releases."""
         return Releases(self.pose[rows], self.place[rows], self.support[rows])
 
 
-def later_partners(labels: Places) -> Iterator[tuple[Places, Places]]:
+def later_partners(labels: Ints) -> Iterator[tuple[Places, Places]]:
     """All pairs of rows with the same label, chunk by chunk, at least one chunk.
 
     Args:

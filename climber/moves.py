@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from climber.geometry import TOUCH, Mask, disks_meet, overlap_areas, triangle_fits
-from climber.holdsets import Ints, Places, Releases, later_partners, squared_distance
+from climber.holdsets import Ints, Releases, later_partners, squared_distance
 from climber.poses import Rotations
 from climber.programs.support import hold_set_intervals
 from climber.stance import Vector
@@ -85,7 +85,7 @@ class Moves:
 
 def reachable_pairs(
     positions: Vector, reach: Vector, rotations: Rotations, poses: Ints, releases: Releases
-) -> tuple[Places, Places, Vector]:
+) -> tuple[Ints, Ints, Vector]:
     """Pairs of releases of the same support whose stances' disks all overlap together (4.7).
 
     Both stances' own disks are known to overlap, and three by three decide (Helly); so only triples with the hold let
@@ -111,9 +111,9 @@ def reachable_pairs(
             holds = np.column_stack([staying[a], moving[a], moving[b]])
             places = np.column_stack([around[a], releases.place[a], releases.place[a]])
             meet = disks_meet(positions[holds], reach[places])
-        found.append((a[meet], b[meet], np.sqrt(apart[meet])))
-    a, b, distance = (np.concatenate(column) for column in zip(*found, strict=True))
-    return a, b, distance
+        found.append((a[meet].astype(np.int32), b[meet].astype(np.int32), np.sqrt(apart[meet])))
+    before, after, distance = zip(*found, strict=True)
+    return np.concatenate(before), np.concatenate(after), np.concatenate(distance)
 
 
 def support_table(
@@ -141,6 +141,7 @@ def find_moves(
     weights: Weights,
     rotations: Rotations,
     poses: Ints,
+    reached: Mask,
     releases: Releases,
     counts: dict[str, int],
 ) -> tuple[Moves, Supports, Vector]:
@@ -156,74 +157,73 @@ def find_moves(
         weights: Of the costs.
         rotations: Of the robot.
         poses: Hold at each place, shape (P, n).
-        releases: The releases between which to look for moves, sorted by support.
+        reached: The poses between which to look for moves, shape (P,).
+        releases: Their releases, sorted by support.
         counts: Gains `reach_ok`, `stable_pairs`, `stable_directed`, `directed_where_SR2_clause_rejects`, `supports`.
 
     Returns:
-        The moves, their supports, and the interval of the centre of mass of each pose that has a reachable neighbour
-        [m], shape (P, 2), NaN elsewhere and where empty.
+        The moves, their supports, and the interval of the centre of mass on each reached pose [m], shape (P, 2), NaN
+        elsewhere and where empty.
     """
     positions = np.ascontiguousarray(wall.positions[:, :2])
     a, b, distance = reachable_pairs(positions, reach, rotations, poses, releases)
     left, support = _numbered(releases.support[a])
-    supports = support_table(wall, reach, mass, rotations, poses, _rows(releases, a[left]))
+    supports = support_table(wall, reach, mass, rotations, poses, releases[a[left]])
 
-    pose_a, pose_b, place_a, place_b = releases.pose[a], releases.pose[b], releases.place[a], releases.place[b]
-    ends = np.zeros(len(poses), dtype=bool)
-    ends[pose_a] = ends[pose_b] = True
+    pose_a, pose_b = releases.pose[a], releases.pose[b]
     intervals = np.full((len(poses), 2), np.nan)
-    intervals[ends] = hold_set_intervals(wall, poses[ends], mass)
+    intervals[reached] = hold_set_intervals(wall, poses[reached], mass)
 
     held = supports.intervals[support]
     to_b, to_a = _overlap(held, intervals[pose_b]), _overlap(held, intervals[pose_a])
-    counts["reach_ok"] = len(a)
-    counts["stable_pairs"] = int((to_a | to_b).sum())
-    counts["stable_directed"] = int(to_a.sum() + to_b.sum())
-    counts["directed_where_SR2_clause_rejects"] = 2 * int((~np.isnan(held[:, 0])).sum()) - counts["stable_directed"]
-    counts["supports"] = len(supports.holds)
+    can_hold = int((~np.isnan(held[:, 0])).sum())
+    counts["reach_ok"], counts["supports"] = len(a), len(supports.holds)
+    counts["stable_pairs"], counts["stable_directed"] = int((to_a | to_b).sum()), int(to_a.sum() + to_b.sum())
+    counts["directed_where_SR2_clause_rejects"] = 2 * can_hold - counts["stable_directed"]
 
     cost = weights.reach * distance
     cost += (weights.stability * supports.stability_costs + weights.robustness * supports.robustness_costs)[support]
-    turn = (place_b - place_a) // rotations.period
-    forwards = (pose_a[to_b], pose_b[to_b], place_a[to_b], turn[to_b], support[to_b], cost[to_b])
-    backwards = (pose_b[to_a], pose_a[to_a], place_b[to_a], -turn[to_a], support[to_a], cost[to_a])
-    tail, head, place, turn, support, cost = (np.concatenate(pair) for pair in zip(forwards, backwards, strict=True))
-    order = (tail * len(poses) + head).argsort()
+
+    pair = np.concatenate([np.flatnonzero(to_b), np.flatnonzero(to_a)]).astype(np.int32)
+    back = np.arange(len(pair)) >= to_b.sum()  # these lead from b to a
+    key = np.where(back, pose_b[pair], pose_a[pair]) * np.int64(len(poses)) + np.where(back, pose_a[pair], pose_b[pair])
+    order = key.argsort()
+    tail, head = np.divmod(key[order], len(poses))
+    pair, back, cost = pair[order], back[order], cost[pair[order]]
     if len(cost) and cost.max() > np.iinfo(np.int32).max:
         raise ValueError(
             f"a move costs {cost.max():.3g}, more than a 32-bit number; use smaller weights than {weights}"
         )
+    place_a, place_b = releases.place[a][pair], releases.place[b][pair]
     moves = Moves(
-        tail[order].astype(np.int32),
-        head[order].astype(np.int32),
-        place[order].astype(np.int8),
-        turn[order].astype(np.int8),
-        support[order].astype(np.int32),
-        np.rint(cost[order]).astype(np.int32),
+        tail.astype(np.int32),
+        head.astype(np.int32),
+        place=np.where(back, place_b, place_a).astype(np.int8),
+        turn=(np.where(back, place_a - place_b, place_b - place_a) // rotations.period).astype(np.int8),
+        support=support[pair],
+        cost=np.rint(cost).astype(np.int32),
     )
     return moves, supports, intervals
 
 
-def unique_rows(rows: Ints) -> tuple[Ints, Places]:
+def unique_rows(rows: Ints) -> tuple[Ints, Ints]:
     """The distinct rows of an array in lexicographic order, and the number of each row's."""
     order = np.lexsort(rows.T[::-1]) if rows.shape[1] else np.arange(len(rows))
     first, number = _numbered(rows[order])
-    which = np.empty(len(rows), dtype=np.int64)
+    which = np.empty(len(rows), dtype=np.int32)
     which[order] = number
     return rows[order[first]], which
 
 
-def _numbered(runs: NDArray[np.integer]) -> tuple[Places, Places]:
+def _numbered(runs: NDArray[np.integer]) -> tuple[Ints, Ints]:
     """Where each run of equal entries starts, and the number of the run that each entry is in."""
     changes = runs[1:] != runs[:-1]
     if changes.ndim == 2:
         changes = changes.any(axis=1)
-    new = np.concatenate([np.ones(min(1, len(runs)), dtype=bool), changes])
-    return np.flatnonzero(new), np.cumsum(new) - 1
-
-
-def _rows(releases: Releases, rows: Places) -> Releases:
-    return Releases(releases.pose[rows], releases.place[rows], releases.support[rows])
+    number = np.zeros(len(runs), dtype=np.int32)
+    np.cumsum(changes, out=number[1:])
+    starts = np.flatnonzero(np.diff(number, prepend=-1))
+    return starts.astype(np.int32), number
 
 
 def _overlap(a: Vector, b: Vector) -> Mask:

@@ -64,7 +64,7 @@ class Rotations:
         """Ordered stances of a pose that the robot's symmetries do not map onto each other."""
         return self.turn // self.period
 
-    def limb(self, place: Places, lift: Places | int) -> Places:
+    def limb(self, place: Places, lift: Places) -> Places:
         """The limb at a place of a pose's cyclic order, in the stance that is the pose turned by `lift` periods."""
         return (place - self.period * lift) % self.num_limbs
 
@@ -118,12 +118,12 @@ def start_component(
     n, copies = rotations.num_limbs, rotations.copies
     num_supports = int(releases.support[-1]) + 1
     num_stances, lift = num_poses * copies, np.arange(copies)[:, None]
-    places: Places = np.empty((num_poses, n), dtype=np.int64)  # support left by the release of each place
-    places[releases.pose, releases.place] = releases.support
+    left = np.empty((num_poses, n), dtype=np.int32)  # support left by the release of each place
+    left[releases.pose, releases.place] = releases.support
     freed = rotations.limb(np.arange(n), lift) // rotations.period  # (copies, n)
-    columns = num_stances + places[:, None] * copies + freed  # (P, copies, n)
+    columns = num_stances + left[:, None] * copies + freed.astype(np.int32)  # (P, copies, n)
     size = num_stances + num_supports * copies
-    rows = np.minimum(np.arange(size + 1), num_stances) * n
+    rows = np.minimum(np.arange(size + 1, dtype=np.int32), num_stances) * n
     links = csr_array((np.ones(columns.size, dtype=np.int8), columns.ravel(), rows), shape=(size, size))
     label = connected_components(links, directed=False)[1]
     reached = label == label[start]

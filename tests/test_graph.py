@@ -360,10 +360,17 @@ def test_holds_out_of_reach_of_the_start_add_no_moves() -> None:
     np.testing.assert_array_equal(beside.stances, alone.stances)
 
 
+def test_weights_that_make_costs_too_large_to_count_are_refused() -> None:
+    wall, start, _ = thesis_wall("W1")
+    with pytest.raises(ValueError, match="use smaller weights"):
+        build_stance_graph(wall, QUADRUPED, start, Weights(reach=1e11))
+
+
 def test_a_start_without_moves_is_a_graph_of_one_vertex() -> None:
     wall = Wall(tuple(hold(x, y) for x, y in ((0.2, 0.2), (0.0, 0.2), (0.0, 0.0), (0.2, 0.0), (3.0, 3.0))))
     graph = build_stance_graph(wall, QUADRUPED, Stance((0, 1, 2, 3)), Weights())
     assert (graph.num_vertices, graph.num_edges, graph.start) == (1, 0, 0)
+    assert graph.stance_support[0] == pytest.approx(hold_set_intervals(wall, np.array([[0, 1, 2, 3]]), 2.0)[0])
     assert graph.goal_vertices(holds=(0, 1, 2, 3)).tolist() == [0]
     assert len(graph.pose_graph().poses) == 0 and graph.decode(Stance((0, 1, 2, 3)), [0]) == [Stance((0, 1, 2, 3))]
 
