@@ -166,15 +166,16 @@ class TaskPlanner:
         if self.layers.shortest == FAR:
             return self._impossible(tally)
         horizon = max(self.lower_bound(), self._refuted + 1)
-        while True:
+        while self._left(deadline) > 0:
             answer = self._try(horizon, tally, deadline)
             if answer.edges is not None:
                 # Every smaller number of moves is below the bound or was refuted, so the makespan is always proved.
                 return self._decoded(answer, Proofs(makespan_proved=True, cost_proved=answer.exhausted), tally)
             if not answer.exhausted:
-                return OutOfTime(horizon, self._stats(tally))
+                break
             self._refuted = horizon
             horizon += 1
+        return OutOfTime(horizon, self._stats(tally))
 
     def _try(self, horizon: int, tally: _Tally, deadline: float | None) -> _Answer:
         """Asks for a climb of exactly `horizon` moves."""

@@ -367,9 +367,11 @@ def test_time_limit_proves_nothing_and_the_planner_lives_on() -> None:
 
 
 def test_no_time_at_all_is_out_of_time_and_not_impossible() -> None:
-    answer = lattice(5, 3).planner().plan(time_limit=0.0)
+    planner = lattice(5, 3).planner()
+    answer = planner.plan(time_limit=0.0)
     assert isinstance(answer, OutOfTime)
-    assert answer.horizon == 4
+    assert (answer.horizon, answer.stats.attempts) == (4, ())
+    assert isinstance(planner.plan(time_limit=60.0), TaskPlan)
 
 
 def test_costs_beyond_the_solvers_numbers_are_refused_and_not_wrapped() -> None:
