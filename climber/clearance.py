@@ -126,24 +126,27 @@ def outlines(kinematics: Kinematics) -> tuple[list[Outline], set[tuple[int, int]
 
 def segment_distance(a0: Vector, a1: Vector, b0: Vector, b1: Vector) -> Vector:
     """Distance between segments of the plane [m]; arrays broadcast, the last axis is (x, y)."""
-    u, v, w = a1 - a0, b1 - b0, b0 - a0
+    # Coordinate by coordinate: sums over an axis of two cost three times as much.
+    ux, uy = a1[..., 0] - a0[..., 0], a1[..., 1] - a0[..., 1]
+    vx, vy = b1[..., 0] - b0[..., 0], b1[..., 1] - b0[..., 1]
+    wx, wy = b0[..., 0] - a0[..., 0], b0[..., 1] - a0[..., 1]
 
-    def cross(p: Vector, q: Vector) -> Vector:
-        result: Vector = p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
+    def to_segment(from_x: Vector, from_y: Vector, x: Vector, y: Vector) -> Vector:
+        """Squared distance of a point from a segment (x, y), the point given from its start."""
+        share = np.minimum(np.maximum((from_x * x + from_y * y) / np.maximum(x * x + y * y, 1e-18), 0.0), 1.0)
+        off_x, off_y = from_x - share * x, from_y - share * y
+        result: Vector = off_x * off_x + off_y * off_y
         return result
 
-    def to_segment(from_start: Vector, along: Vector) -> Vector:
-        length = np.einsum("...i,...i->...", along, along)
-        s = np.clip(np.einsum("...i,...i->...", from_start, along) / np.maximum(length, 1e-18), 0.0, 1.0)
-        rest = from_start - s[..., None] * along
-        result: Vector = np.einsum("...i,...i->...", rest, rest)
-        return result
-
+    far_x, far_y, near_x, near_y = wx + vx, wy + vy, ux - wx, uy - wy
     squared = np.minimum(
-        np.minimum(to_segment(w, u), to_segment(w + v, u)), np.minimum(to_segment(-w, v), to_segment(u - w, v))
+        np.minimum(to_segment(wx, wy, ux, uy), to_segment(far_x, far_y, ux, uy)),
+        np.minimum(to_segment(-wx, -wy, vx, vy), to_segment(near_x, near_y, vx, vy)),
     )
     # They cross when each one's ends lie on both sides of the other.
-    crossing = (cross(u, w) * cross(u, w + v) < 0) & (cross(v, -w) * cross(v, u - w) < 0)
+    crossing = ((ux * wy - uy * wx) * (ux * far_y - uy * far_x) < 0) & (
+        (vy * wx - vx * wy) * (vx * near_y - vy * near_x) < 0
+    )
     result: Vector = np.where(crossing, 0.0, np.sqrt(squared))
     return result
 

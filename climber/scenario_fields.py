@@ -191,7 +191,8 @@ class RobotSpec:
         name: Its name in plans and pictures, of letters, digits, `_` and `-`; no two robots share one.
         model: URDF or SDF file, `package://climber/...` or a path from the scenario's folder.
         start: The hold of every limb at the start, by limb name.
-        start_posture: Joint angles at the start by joint name [rad]; joints that are not named may be anywhere.
+        start_posture: Joint angles at the start by joint name [rad], met within 0.001 rad, since angles written down are
+            rounded and feet are not to leave their holds; joints that are not named may be anywhere.
         goal: Where it must end.
         waypoints: Where it must have been on the way, in this order.
         avoid: What it must keep off.

@@ -16,6 +16,7 @@ SAMPLING = 0.01  # [s] longest time between samples
 LENGTH = 1e-6  # [m] zero for lengths that a solver or Drake's narrow phase computes
 SAME = 1e-9  # [s, m, rad] zero for numbers that are copied
 REST = 1e-6  # [m/s, rad/s] zero for speeds
+POSTURE = 1e-3  # [rad] prescribed joint angles are rounded, and feet are not to leave their holds for that
 FORCE = 1e-6  # [N] zero for contact forces
 TORQUE = 1e-6  # [N m] zero for excess torque
 # At samples the plan's torques and forces must be those of its motion; this much is left to a solver's accuracy and is
@@ -33,7 +34,7 @@ RULES: Final[dict[str, Rule]] = {
     "stances": Rule("consecutive stances differ in one limb, and no hold carries two", "at most", 0, "faults"),
     "phases": Rule("shifts and swings alternate, with the contacts that the stances say", "at most", 0, "faults"),
     "start stance": Rule("the first stance is the scenario's start", "at most", 0, "faults"),
-    "start posture": Rule("the joints begin where the scenario says", "at most", REST, "rad"),
+    "start posture": Rule("the joints begin where the scenario says", "at most", POSTURE, "rad"),
     "goal": Rule("the last stance is the one asked for", "at most", 0, "faults"),
     "goal pelvis": Rule("the pelvis ends within the goal region", "at most", LENGTH, "m"),
     "waypoints": Rule("every waypoint is reached, in order", "at most", 0, "missed"),
