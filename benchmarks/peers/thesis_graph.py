@@ -197,11 +197,11 @@ class ThesisGraph:
     def _interval(self, holds: State, cache: bool) -> Interval:
         if cache:
             if holds not in self.intervals:
-                self.intervals[holds] = self._solve_interval(holds)
+                self.intervals[holds] = self.solve_interval(holds)
             return self.intervals[holds]
-        return self._solve_interval(holds)
+        return self.solve_interval(holds)
 
-    def _solve_interval(self, holds: State) -> Interval:
+    def solve_interval(self, holds: State) -> Interval:
         num_forces = 2 * len(holds)
         A = np.zeros((3, num_forces + 1))
         for i, hold in enumerate(holds):
