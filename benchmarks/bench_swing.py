@@ -135,7 +135,7 @@ def our_swing(body: Body, move: Move, rng: np.random.Generator) -> Swing:
 
 
 def sound(swing: Swing) -> bool:
-    """Whether ours found a path that keeps its contacts and balance, looked at five times as finely as it was planned."""
+    """Whether ours found a path that keeps contacts and balance, looked at five times as finely as when planned."""
     if swing.legs is None or swing.manifold is None:
         return False
     manifold = swing.manifold

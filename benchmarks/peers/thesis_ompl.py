@@ -1,9 +1,9 @@
 """The thesis's motion planner for one swing (Gönen 2021, section 4.4), with OMPL 2. Kept plain on purpose.
 
-The robot's eleven coordinates are eight joints, then the pelvis's position and angle. The three supporting legs make six
-equations, handed to OMPL as a constraint with its Jacobian; OMPL projects onto them (`ProjectedStateSpace`) and plans by
-RRT-Connect. Start and goals are drawn at random in the box of the coordinates, projected by least squares onto the
-eight equations of all four legs, and kept if the centre of mass is where three legs can hold the robot. The thesis
+The robot's eleven coordinates are eight joints, then the pelvis's position and angle. The three supporting legs make
+six equations, handed to OMPL as a constraint with its Jacobian; OMPL projects onto them (`ProjectedStateSpace`) and
+plans by RRT-Connect. Start and goals are drawn at random in the box of the coordinates, projected by least squares onto
+the eight equations of all four legs, and kept if the centre of mass is where three legs can hold the robot. The thesis
 finds goals while it plans; OMPL's Python bindings deadlock on goals sampled in a thread, so they are found before.
 
 As in the thesis, the callbacks are Python. They take their sines one by one: for six equations that is twice as fast
