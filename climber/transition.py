@@ -191,8 +191,8 @@ class PostureSampler:
         moment = np.add.reduce([m[:, b] for m, b in zip(moments, places, strict=True)])
         own = body.kinematics.pelvis_mass * pelvis.point(body.kinematics.pelvis_center)[:, :1]
         abscissa = (own + moment) / robot.mass
-        lower, upper = self.manifold.balanced
-        pose, combination = np.nonzero(fit & (abscissa >= lower) & (abscissa <= upper))
+        left, right = self.manifold.balanced
+        pose, combination = np.nonzero(fit & (abscissa >= left) & (abscissa <= right))
         reachable = int(fit.any(axis=1).sum())
         chosen = rng.permutation(len(pose))[:512]
         pose, combination = pose[chosen], combination[chosen]
@@ -214,13 +214,13 @@ def between(before: Manifold, after: Manifold) -> Manifold:
     return Manifold(before.body, contacts, (max(lower), min(upper)), exact)
 
 
-def _spread(branches: Branches, slack: Vector, most: int) -> NDArray[np.int64]:
-    """Places of at most `most` postures: the roomiest of each branch combination in turn."""
+def spread(branches: Branches, value: Vector, most: int) -> NDArray[np.int64]:
+    """Places of at most `most` postures: of each branch combination in turn, the one of most value."""
     kind = np.unique(branches, axis=0, return_inverse=True)[1].reshape(-1)
-    order = np.lexsort((-slack, kind))
+    order = np.lexsort((-value, kind))
     first = np.flatnonzero(np.diff(kind[order], prepend=-1))
     rank = np.arange(len(order)) - np.repeat(first, np.diff(np.append(first, len(order))))
-    result: NDArray[np.int64] = order[np.lexsort((-slack[order], rank))][:most]
+    result: NDArray[np.int64] = order[np.lexsort((-value[order], rank))][:most]
     return result
 
 
@@ -272,7 +272,7 @@ def find_transition(
         q, branches, slack, with_inverse = sampler.draw(rng, count)
         reachable, drawn = reachable + with_inverse, drawn + count
         if len(q):
-            chosen = _spread(branches, slack, most)
+            chosen = spread(branches, slack, most)
             return Postures(ordered, q[chosen], branches[chosen], slack[chosen])
     what = "with the centre of mass supported and no collision" if reachable else "with every limb on its hold"
     return Postures(ordered, *empty, Failure("budget", f"no posture {what} among {drawn} pelvis poses"))

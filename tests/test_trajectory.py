@@ -61,13 +61,15 @@ def ways(count: int, seed: int) -> list[Way]:
         a, b = q[rng.choice(len(q), 2, replace=False)]
         if manifold.slack(np.array([a, b])).min() < 0 or len(flips(manifold, a, b)) > 1:
             continue
+        if np.allclose(a[:3], b[:3]):
+            continue  # a swing of the free limb alone is straight and as short as can be
         path = find_path(manifold, a, b, rng, Search(iterations=60, shortcuts=0))
         for leg in path or []:
             (straight if len(leg.u) == 2 else cornered).append(Way(manifold, leg.chart, leg.u))
     return straight[:count] + cornered[:count]
 
 
-WAYS = ways(6, 0)
+WAYS = ways(6, 4)
 CORNERED = [way for way in WAYS if len(way.u) > 2]
 STRAIGHT = [way for way in WAYS if len(way.u) == 2]
 every_way = pytest.mark.parametrize("way", WAYS, ids=[f"{i}-{len(way.u)}" for i, way in enumerate(WAYS)])
@@ -373,7 +375,7 @@ def test_both_programs_refuse_ends_that_fall() -> None:
     for way in STRAIGHT[:2]:
         q = way.chart.expand(way.u)[0]
         x = BODY.kinematics.center_of_mass(q)[:, 0]
-        manifold = Manifold(BODY, way.manifold.contacts, (x.max() + 0.05, x.max() + 0.1))
+        manifold = Manifold(BODY, way.manifold.contacts, (x.max() + 5.0, x.max() + 5.1))
         answer = by_drake(way, manifold)
         assert not isinstance(answer, Curve) and answer
         assert refine(manifold, way.chart, way.u) is None
