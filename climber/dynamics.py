@@ -105,6 +105,22 @@ class _Sampler:
             )[:n, 0]
 
 
+def turning(robot: Robot, limbs: Sequence[int]) -> Vector:
+    """How fast the feet of a planar robot's limbs turn about z by its velocities, shape (len(limbs), nv); constant."""
+    world, context = robot.plant.world_frame(), robot.context()
+    rows = [
+        robot.plant.CalcJacobianAngularVelocity(
+            context,
+            JacobianWrtVariable.kV,
+            robot.plant.GetFrameByName(robot.limbs[limb].foot),
+            world,
+            world,
+        )[2]
+        for limb in limbs
+    ]
+    return np.array(rows).reshape(len(rows), robot.plant.num_velocities())
+
+
 def evaluate(robot: Robot, q: Vector, v: Vector, holding: Sequence[int]) -> DynamicsBatch:
     """The equations of motion at K samples.
 

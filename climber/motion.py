@@ -71,6 +71,7 @@ class PhaseMotion:
         samples: The motion.
         force: Force of each holding contact on the robot in W [N], shape (K, len(contacts), 3).
         torque: Joint torques in the order of `Robot.joint_names` [N m], shape (K, num_joints).
+        moment: Moment of each holding contact on the robot about z [N m], shape (K, len(contacts)).
     """
 
     limb: int | None
@@ -79,6 +80,7 @@ class PhaseMotion:
     samples: Samples
     force: Vector
     torque: Vector
+    moment: Vector
 
 
 @dataclass(frozen=True)
@@ -389,7 +391,13 @@ class MotionPlanner:
             )
             if torques.ok.all():
                 return PhaseMotion(
-                    phase.limb, phase.move, phase.manifold.contacts, samples, torques.force, torques.torque
+                    phase.limb,
+                    phase.move,
+                    phase.manifold.contacts,
+                    samples,
+                    torques.force,
+                    torques.torque,
+                    torques.moment,
                 )
             why = torques.reason
             slowing *= 1.4

@@ -261,6 +261,7 @@ class _ClimbSearch:
             vd=motion.samples.vd,
             torque=motion.torque,
             force={limbs[c.limb]: motion.force[:, i] for i, c in enumerate(motion.contacts)},
+            moment={limbs[c.limb]: motion.moment[:, i] for i, c in enumerate(motion.contacts) if motion.moment.any()},
         )
 
 

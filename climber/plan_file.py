@@ -58,6 +58,8 @@ class Phase:
         torque: Joint torques [N m], columns as `RobotPlan.joints`, shape (N, nu).
         force: By limb name, the force that the hold exerts on the foot, in W [N], shape (N, 3). A limb that is left
             out exerts none.
+        moment: By limb name, the moment about the wall plane's normal that a pin exerts on the gripper on it [N m],
+            shape (N,). A limb that is left out feels none.
     """
 
     kind: PhaseKind
@@ -70,6 +72,7 @@ class Phase:
     vd: Vector
     torque: Vector
     force: dict[str, Vector]
+    moment: dict[str, Vector] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -253,6 +256,7 @@ def _phase_to_dict(phase: Phase) -> dict[str, Any]:
         "vd": phase.vd,
         "torque": phase.torque,
         "force": phase.force,
+        "moment": phase.moment,
     }
 
 
@@ -298,7 +302,7 @@ def _read_cut(node: Node, limbs: tuple[str, ...]) -> Cut:
 
 def _read_phase(node: Node, robot: RobotPlan) -> Phase:
     columns = {"q": robot.positions, "v": robot.velocities, "vd": robot.velocities, "torque": robot.joints}
-    fields = node.fields(["kind", "limb", "stance", "contacts", "time", *columns, "force"])
+    fields = node.fields(["kind", "limb", "stance", "contacts", "time", *columns, "force", "moment"])
     stance = fields["stance"].integer(at_least=0)
     if stance >= len(robot.stances):
         raise fields["stance"].error(f"there are {len(robot.stances)} stances, numbered from 0")
@@ -316,6 +320,9 @@ def _read_phase(node: Node, robot: RobotPlan) -> Phase:
     forces = fields["force"].entries()
     for limb in set(forces) - set(robot.limbs):
         raise forces[limb].error(f"the limbs are {', '.join(robot.limbs)}")
+    moments = fields["moment"].entries()
+    for limb in set(moments) - {contact.limb for contact in contacts}:
+        raise moments[limb].error("a moment is expected of limbs in contact only")
     for limb in {contact.limb for contact in contacts} - set(forces):
         raise fields["force"].error(f"{limb} is in contact, so its force is expected")
     return Phase(
@@ -326,4 +333,5 @@ def _read_phase(node: Node, robot: RobotPlan) -> Phase:
         time=time,
         **samples,
         force={limb: forces[limb].array(len(time), 3) for limb in robot.limbs if limb in forces},
+        moment={limb: moments[limb].array(len(time)) for limb in robot.limbs if limb in moments},
     )

@@ -87,6 +87,7 @@ class HoldDefaults:
         friction: Coulomb coefficient.
         grip: friction, pin or magnet.
         adhesion: Pull of a magnet [N]; other grips have none.
+        max_moment: Greatest moment between a pin and the gripper on it [N m]; other grips have none.
     """
 
     half_width: float = field(default=0.01, metadata=rule(at_least=0.0))
@@ -95,6 +96,7 @@ class HoldDefaults:
     friction: float = field(default=0.6, metadata=rule(at_least=0.0))
     grip: str = field(default="friction", metadata=rule(choices=GRIPS))
     adhesion: float = field(default=0.0, metadata=rule(at_least=0.0))
+    max_moment: float = field(default=0.0, metadata=rule(at_least=0.0))
 
 
 @dataclasses.dataclass
@@ -110,6 +112,7 @@ class HoldSpec:
         friction: Coulomb coefficient.
         grip: friction, pin or magnet.
         adhesion: Pull of a magnet [N].
+        max_moment: Greatest moment between a pin and the gripper on it [N m].
     """
 
     position: list[float] = field(default_factory=list, metadata=rule(required=True, lengths=(2, 3)))
@@ -120,6 +123,7 @@ class HoldSpec:
     friction: float | None = field(default=None, metadata=rule(at_least=0.0))
     grip: str | None = field(default=None, metadata=rule(choices=GRIPS))
     adhesion: float | None = field(default=None, metadata=rule(at_least=0.0))
+    max_moment: float | None = field(default=None, metadata=rule(at_least=0.0))
 
     def build(self, defaults: HoldDefaults) -> Hold:
         """The hold, with `defaults` where it says nothing."""
@@ -130,6 +134,8 @@ class HoldSpec:
         grip = cast(Grip, limits.pop("grip"))
         if grip != "magnet":
             limits["adhesion"] = 0.0
+        if grip != "pin":
+            limits["max_moment"] = 0.0
         x, y, z = [*self.position, 0.0][:3]
         length = math.hypot(*self.normal)
         nx, ny, nz = [*(component / length for component in self.normal), 0.0][:3]
@@ -141,13 +147,14 @@ class WallSpec:
     """The wall.
 
     Attributes:
-        inclination_deg: 90 is vertical, less is a slab, more an overhang [degrees].
+        inclination_deg: 90 is vertical, less is a slab, more an overhang; 0 is a floor, without gravity in its plane
+            [degrees].
         hold_defaults: What holds have in common.
         holds: The holds, numbered from 0 in this order.
         obstacles: Regions of the wall plane that no part of a robot may touch.
     """
 
-    inclination_deg: float = field(default=90.0, metadata=rule(above=0.0, below=180.0))
+    inclination_deg: float = field(default=90.0, metadata=rule(at_least=0.0, below=180.0))
     hold_defaults: HoldDefaults = field(default_factory=HoldDefaults)
     holds: list[HoldSpec] = field(default_factory=list, metadata=rule(required=True, empty=False))
     obstacles: list[RegionSpec] = field(default_factory=list)

@@ -27,18 +27,21 @@ class Grip:
         generators: Unit vectors as columns, shape (2, 2); they may coincide if there is no friction.
         lower: Least multiple of each generator [N], shape (2,).
         upper: Greatest multiple of each generator [N], shape (2,).
+        moment: Greatest moment about the wall plane's normal, either way [N m].
     """
 
     offset: Vector
     generators: Vector
     lower: Vector
     upper: Vector
+    moment: float = 0.0
 
     @classmethod
     def of(cls, hold: Hold) -> Grip:
         """A hold's grip: cone edges for friction (Gönen 4.8, 4.9), axes for a pin, a preloaded cone for a magnet."""
         if hold.grip == "pin":
-            return cls(np.zeros(2), np.eye(2), np.full(2, -hold.max_force), np.full(2, hold.max_force))
+            most = np.full(2, hold.max_force)
+            return cls(np.zeros(2), np.eye(2), -most, most, hold.max_moment)
         normal = np.array(hold.normal[:2])
         tangent = np.array([normal[1], -normal[0]])
         half_angle = np.arctan(hold.friction)
@@ -84,32 +87,36 @@ class Support:
 class _SupportProgram:
     """Extreme abscissae at which k contacts hold the robot up (Gönen eqs 4.8-4.17).
 
-    Variables: multiples t of the generators [N], shape (2k,); abscissa x of the centre of mass from the contacts'
-    centroid [m].
+    Variables: multiples t of the generators [N], shape (2k,); the sum n of the moments that grippers exert on their
+    pins [N m]; abscissa x of the centre of mass from the contacts' centroid [m].
 
         minimise, then maximise   x
         subject to   sum_i G_i t_i            = -(sum_i offset_i) - m g        force balance       (4.13, lines 1-2)
-                     sum_i r_i x (G_i t_i)    = -(sum_i r_i x offset_i) + W x  torque balance      (4.13, line 3)
-                     lower <= t <= upper                                       cones and limits    (4.9, 4.11)
+                     sum_i r_i x (G_i t_i) + n = -(sum_i r_i x offset_i) + W x torque balance      (4.13, line 3)
+                     lower <= t <= upper,  |n| <= sum_i moment_i               cones and limits    (4.9, 4.11)
 
-    with the contact points r_i taken from the centroid, W the in-plane weight and gravity along -y.
+    with the contact points r_i taken from the centroid, W the in-plane weight and gravity along -y. Where W is zero
+    the centre of mass is anywhere if there are such t and n at all.
     """
 
     def __init__(self, contacts: int) -> None:
         self.t = cvxpy.Variable(2 * contacts)
-        self.x = cvxpy.Variable()
+        self.x, self.n = cvxpy.Variable(), cvxpy.Variable()
+        self.turning = cvxpy.Parameter()
         self.wrench = cvxpy.Parameter((3, 2 * contacts))
         self.load = cvxpy.Parameter(3)
         self.lever = cvxpy.Parameter(3)
         self.lower = cvxpy.Parameter(2 * contacts)
         self.upper = cvxpy.Parameter(2 * contacts)
         constraints = [
-            self.wrench @ self.t == self.load + self.lever * self.x,
+            self.wrench @ self.t + np.array([0.0, 0.0, 1.0]) * self.n == self.load + self.lever * self.x,
+            cvxpy.abs(self.n) <= self.turning,
             self.t >= self.lower,
             self.t <= self.upper,
         ]
         self.least = cvxpy.Problem(cvxpy.Minimize(self.x), constraints)
         self.greatest = cvxpy.Problem(cvxpy.Maximize(self.x), constraints)
+        self.anywhere = cvxpy.Problem(cvxpy.Minimize(0), [*constraints, self.x == 0])
 
 
 @lru_cache
@@ -142,8 +149,10 @@ def support_interval(wall: Wall, holds: Sequence[int], points: Vector, mass: flo
     program.lever.value = np.array([0.0, 0.0, weight])
     program.lower.value = np.concatenate([grip.lower for grip in grips])
     program.upper.value = np.concatenate([grip.upper for grip in grips])
+    program.turning.value = float(sum(grip.moment for grip in grips))
+    weightless = weight < 1e-9
     ends = []
-    for problem in (program.least, program.greatest):
+    for problem in (program.anywhere,) if weightless else (program.least, program.greatest):
         try:
             problem.solve(solver=cvxpy.CLARABEL, **ACCURATE)
         except cvxpy.SolverError as error:
@@ -151,4 +160,4 @@ def support_interval(wall: Wall, holds: Sequence[int], points: Vector, mass: flo
         if problem.status != cvxpy.OPTIMAL:
             return Support(np.nan, np.nan, str(problem.status))
         ends.append(float(problem.value) + float(centroid[0]))
-    return Support(ends[0], ends[1], cvxpy.OPTIMAL)
+    return Support(-np.inf, np.inf, cvxpy.OPTIMAL) if weightless else Support(ends[0], ends[1], cvxpy.OPTIMAL)

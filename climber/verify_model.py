@@ -139,7 +139,9 @@ class Tree:
         centers = poses.origin + np.einsum("bkij,bj->bki", poses.rotation, self._center)
         return np.asarray(np.einsum("b,bki->ki", self._mass, centers) / self._mass.sum())
 
-    def required_force(self, poses: Poses, v: Vector, vd: Vector, force: Vector) -> Vector:
+    def required_force(
+        self, poses: Poses, v: Vector, vd: Vector, force: Vector, moment: Vector | None = None
+    ) -> Vector:
         """The generalised force that the actuators must supply: M vd + h - J_c^T f, by Newton and Euler.
 
         Args:
@@ -147,6 +149,7 @@ class Tree:
             v: Velocities, shape (K, nv).
             vd: Accelerations, shape (K, nv).
             force: Force of each hold on each foot in W [N], shape (K, num_limbs, 3).
+            moment: Moment of each hold on each foot about W's z axis [N m], shape (K, num_limbs); none by default.
 
         Returns:
             Generalised forces [N, N m], shape (K, nv).
@@ -179,6 +182,8 @@ class Tree:
         for i, body in enumerate(self._foot_body):
             push[body] -= force[:, i]
             turn[body] -= _cross(feet[:, i], force[:, i])
+            if moment is not None:
+                turn[body, :, 2] -= moment[:, i]
         result = self._damping * v + self._armature * vd
         for joint in reversed(self._joints):
             parent, child = int(joint.parent_body().index()), int(joint.child_body().index())
@@ -205,7 +210,9 @@ class DrakeModel:
         self._forces = MultibodyForces(robot.plant)
         self._bodies = [robot.plant.GetFrameByName(limb.foot).body() for limb in robot.limbs]
 
-    def at(self, q: Vector, v: Vector, vd: Vector, force: Vector) -> tuple[Vector, Vector, Vector]:
+    def at(
+        self, q: Vector, v: Vector, vd: Vector, force: Vector, moment: Vector | None = None
+    ) -> tuple[Vector, Vector, Vector]:
         """Feet (num_limbs, 3) and centre of mass (3,) in W [m], and the required generalised force (nv,) [N, N m].
 
         Args:
@@ -213,6 +220,7 @@ class DrakeModel:
             v: Velocities, shape (nv,).
             vd: Accelerations, shape (nv,).
             force: Force of each hold on each foot in W [N], shape (num_limbs, 3).
+            moment: Moment of each hold on each foot about W's z axis [N m], shape (num_limbs,); none by default.
         """
         plant, context = self._robot.plant, self._context
         plant.SetPositions(context, q)
@@ -220,9 +228,11 @@ class DrakeModel:
         self._forces.SetZero()
         plant.CalcForceElementsContribution(context, self._forces)
         feet = self._robot.foot_positions(context)
-        for body, foot, f in zip(self._bodies, feet, force, strict=True):
+        turns = np.zeros((len(force), 3))
+        turns[:, 2] = 0.0 if moment is None else moment
+        for body, foot, f, n in zip(self._bodies, feet, force, turns, strict=True):
             p_BoFoot_W = foot - body.EvalPoseInWorld(context).translation()
-            body.AddInForce(context, p_BoFoot_W, SpatialForce(np.zeros(3), f), plant.world_frame(), self._forces)
+            body.AddInForce(context, p_BoFoot_W, SpatialForce(n, f), plant.world_frame(), self._forces)
         required = plant.CalcInverseDynamics(context, vd, self._forces)
         return feet, self._robot.center_of_mass(context), required
 

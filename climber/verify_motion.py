@@ -35,6 +35,7 @@ class Motion:
         vd: Accelerations, shape (K, nv).
         torque: Torques in the order of `Robot.joint_names` [N m], shape (K, num_joints).
         force: Force on each foot in W, limbs in limb order [N], shape (K, num_limbs, 3).
+        moment: Moment on each foot about W's z axis [N m], shape (K, num_limbs).
         sampled: Whether the instant is a sample of the file, shape (K,).
     """
 
@@ -44,6 +45,7 @@ class Motion:
     vd: Vector
     torque: Vector
     force: Vector
+    moment: Vector
     sampled: NDArray[np.bool_]
 
     @classmethod
@@ -59,6 +61,7 @@ class Motion:
             vd=phase.vd[:, velocities],
             torque=phase.torque[:, _columns(plan.joints, robot.joint_names)],
             force=np.stack([phase.force.get(limb, none) for limb in robot.limb_names], axis=1),
+            moment=np.stack([phase.moment.get(limb, none[:, 0]) for limb in robot.limb_names], axis=1),
             sampled=np.ones(count, dtype=bool),
         )
 
@@ -79,6 +82,7 @@ class Motion:
             vd=fill(self.vd),
             torque=fill(self.torque),
             force=fill(self.force),
+            moment=fill(self.moment),
             sampled=np.arange((len(self.time) - 1) * steps + 1) % steps == 0,
         )
 
@@ -109,7 +113,7 @@ class MotionChecks:
             motion = samples.filled(BETWEEN)
             poses = self._tree.poses(motion.q)
             feet, center = self._tree.feet(poses), self._tree.center_of_mass(poses)
-            required = self._tree.required_force(poses, motion.v, motion.vd, motion.force)
+            required = self._tree.required_force(poses, motion.v, motion.vd, motion.force, motion.moment)
             self._contacts(number, phase, motion, feet)
             self._limits(number, motion)
             self._touching(number, motion, poses)
@@ -193,14 +197,16 @@ class MotionChecks:
         self._note("equilibrium", number, time, margin, [f"support of {limbs}: {interval}"])
 
     def _forces(self, number: int, phase: Phase, motion: Motion) -> None:
-        """Contact forces are what their holds can give; limbs that hold nothing feel none."""
+        """Contact forces and moments are what their holds can give; limbs that hold nothing feel none."""
         holds = {contact.limb: contact.hold for contact in phase.contacts}
         for i, limb in enumerate(self._robot.limb_names):
             if limb in holds:
                 excess = self._grips[holds[limb]].excess(motion.force[:, i])
                 self._note("friction", number, motion.time, excess, [f"{limb} on hold {holds[limb]}"])
+                beyond = np.abs(motion.moment[:, i]) - self._grips[holds[limb]].moment
+                self._note("moments", number, motion.time, beyond, [f"{limb} on hold {holds[limb]}"])
             else:
-                size = np.linalg.norm(motion.force[:, i], axis=1)
+                size = np.linalg.norm(motion.force[:, i], axis=1) + np.abs(motion.moment[:, i])
                 self._note("free limbs", number, motion.time, size, [limb])
 
     def _dynamics(self, number: int, motion: Motion, required: Vector) -> None:
@@ -216,7 +222,7 @@ class MotionChecks:
         at = np.flatnonzero(motion.sampled)
         differences = np.zeros(len(at))
         for row, k in enumerate(at):
-            drake = self._drake.at(motion.q[k], motion.v[k], motion.vd[k], motion.force[k])
+            drake = self._drake.at(motion.q[k], motion.v[k], motion.vd[k], motion.force[k], motion.moment[k])
             ours = feet[k], center[k], required[k]
             differences[row] = max(float(np.abs(a - b).max()) for a, b in zip(ours, drake, strict=True))
         self._note("mechanics", number, motion.time[at], differences)

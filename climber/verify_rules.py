@@ -56,6 +56,7 @@ RULES: Final[dict[str, Rule]] = {
     "obstacle clearance": Rule("no link touches an obstacle or an avoided region", "at least", -LENGTH, "m"),
     "equilibrium": Rule("the centre of mass is over the support interval (margin)", "at least", -LENGTH, "m"),
     "friction": Rule("contact forces within cones and limits (excess)", "at most", FORCE, "N"),
+    "moments": Rule("moments on grippers within what their pins take (excess)", "at most", FORCE, "N m"),
     "free limbs": Rule("no force on a limb that holds nothing", "at most", FORCE, "N"),
     "dynamics at samples": Rule("M vd + h = S^T tau + J^T f", "at most", DYNAMICS_AT_SAMPLES, "N, N m"),
     "dynamics between": Rule("M vd + h = S^T tau + J^T f", "at most", DYNAMICS_BETWEEN, "N, N m"),

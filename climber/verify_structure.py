@@ -51,8 +51,15 @@ class StructureChecks:
                 yield f"{plan.name}, stance {number}: two limbs on one hold: {stance}"
         for number, (before, after) in enumerate(pairwise(plan.stances)):
             moved = [limb for limb in plan.limbs if before[limb] != after[limb]]
+            if not moved and self._regrasped(number) is not None:
+                continue
             if len(moved) != 1:
                 yield f"{plan.name}, stance {number} to {number + 1}: {', '.join(moved) or 'no limb'} moved"
+
+    def _regrasped(self, stance: int) -> str | None:
+        """The limb that, according to the swing after a stance, lets go of its hold and takes it again."""
+        swings = (phase.limb for phase in self._plan.phases if phase.kind == "swing" and phase.stance == stance)
+        return next((limb for limb in swings if limb in self._plan.limbs), None)
 
     def _phase_faults(self) -> Iterator[str]:
         """Phases go shift, swing, shift, ... and a shift ends it; each has the contacts that its stance says."""
@@ -71,6 +78,7 @@ class StructureChecks:
             if phase.kind == "swing" and phase.stance + 1 < len(plan.stances):
                 after = plan.stances[phase.stance + 1]
                 mover = next((limb for limb in plan.limbs if after[limb] != stance[limb]), None)
+                mover = mover or self._regrasped(phase.stance)
             if phase.limb != mover:
                 yield f"{at}: the stances have {mover or 'no limb'} swing"
             holding = {contact.limb: contact.hold for contact in phase.contacts}

@@ -36,6 +36,8 @@ class Hold:
         grip: "friction" pushes within its cone, "pin" also pulls in any direction, "magnet" is a friction contact
             preloaded by `adhesion`.
         adhesion: Force that pulls a foot onto a magnet along -normal [N].
+        max_moment: Greatest moment about the wall plane's normal between a pin and the gripper on it [N m]; zero for a
+            pin that a foot turns on freely. Other grips have none.
     """
 
     position: tuple[float, float, float]
@@ -46,6 +48,7 @@ class Hold:
     max_force: float = 20.0
     grip: Grip = "friction"
     adhesion: float = 0.0
+    max_moment: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ class Wall:
     Attributes:
         holds: The holds; a hold's number is its place in this tuple.
         obstacles: Regions of the wall plane that no part of a robot may touch.
-        inclination_deg: 90 is vertical, less is a slab, more an overhang.
+        inclination_deg: 90 is vertical, less is a slab, more an overhang; 0 is a floor, without gravity in its plane.
     """
 
     holds: tuple[Hold, ...]

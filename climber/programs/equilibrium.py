@@ -1,7 +1,8 @@
 """Can these contacts carry the robot, and where may its centre of mass be?
 
 Contact forces are zonotopes: a contact pushes with `f = offset + G t`, `lower <= t <= upper`, so that friction (Gönen
-2021, eqs. 4.8-4.11), pins and magnets are one model and every question below stays linear.
+2021, eqs. 4.8-4.11), pins and magnets are one model and every question below stays linear. A gripper on a pin may also
+turn it: a generator without direction then has a moment.
 
 `SupportProgram` is the reference, one `MathematicalProgram` for one set of contacts; `climber.programs.support` answers
 the same question for many sets at once and must agree with it.
@@ -32,21 +33,26 @@ class ContactForces:
         generators: Directions of the generators, unit vectors as columns, shape (..., 3, p).
         lower: Least multiple of each generator [N], shape (..., p).
         upper: Greatest multiple of each generator [N], shape (..., p).
+        moments: Moment about z that comes with each multiple, shape (..., p): zero, or one for a generator whose
+            direction is zero and whose multiples are [N m]; None for no such generators.
     """
 
     offset: Vector
     generators: Vector
     lower: Vector
     upper: Vector
+    moments: Vector | None = None
 
     def __getitem__(self, index: object) -> ContactForces:
         """The contacts at `index`, which indexes the leading axes."""
         i: NDArray[np.int64] = index  # type: ignore[assignment]
-        return ContactForces(self.offset[i], self.generators[i], self.lower[i], self.upper[i])
+        moments = None if self.moments is None else self.moments[i]
+        return ContactForces(self.offset[i], self.generators[i], self.lower[i], self.upper[i], moments)
 
 
 def wall_forces(wall: Wall) -> ContactForces:
-    """The forces that each hold offers to a planar robot; the leading shape is (num_holds,), and p is 2.
+    """The forces that each hold offers to a planar robot; the leading shape is (num_holds,), and p is 2,
+    or 3 if a gripper can turn any of the pins.
 
     Friction: the two edges of the cone (eq. 4.8), each between `min_force` and `max_force` (eq. 4.9). Pin: the axes of
     the plane, each up to `max_force` either way. Magnet: the edges of the cone, shifted by `adhesion` into the hold.
@@ -68,24 +74,24 @@ def wall_forces(wall: Wall) -> ContactForces:
     most = np.array([hold.max_force for hold in holds], dtype=float)
     least = np.where(pin, -most, [hold.min_force for hold in holds])
     adhesion = np.array([hold.adhesion if hold.grip == "magnet" else 0.0 for hold in holds], dtype=float)
+    offset, generators = -adhesion[:, None] * normals, np.where(pin[:, None, None], np.eye(3)[:, :2], edges)
+    lower, upper = np.repeat(least[:, None], 2, axis=1), np.repeat(most[:, None], 2, axis=1)
+    moment = np.array([hold.max_moment if hold.grip == "pin" else 0.0 for hold in holds], dtype=float)
+    if not moment.any():
+        return ContactForces(offset, generators, lower, upper)
     return ContactForces(
-        -adhesion[:, None] * normals,
-        np.where(pin[:, None, None], np.eye(3)[:, :2], edges),
-        np.repeat(least[:, None], 2, axis=1),
-        np.repeat(most[:, None], 2, axis=1),
+        offset,
+        np.concatenate([generators, np.zeros((len(holds), 3, 1))], axis=2),
+        np.column_stack([lower, -moment]),
+        np.column_stack([upper, moment]),
+        np.tile([0.0, 0.0, 1.0], (len(holds), 1)),
     )
 
 
 def weight_in_plane(wall: Wall, mass: float) -> float:
-    """The pull on the robot down along the wall [N].
-
-    Raises:
-        ValueError: If there is none, on a floor say: then nothing ties the centre of mass to the contacts.
-    """
+    """The pull on the robot down along the wall [N]; zero on a floor, where nothing ties the centre of mass."""
     weight = float(mass * np.hypot(*wall.gravity[:2]))
-    if not weight > 1e-9:
-        raise ValueError(f"no gravity along the wall: mass {mass} kg, inclination {wall.inclination_deg} degrees")
-    return weight
+    return weight if weight > 1e-9 else 0.0
 
 
 @dataclass(frozen=True)
@@ -93,11 +99,12 @@ class SupportInterval:
     """Where the centre of mass may be, or why it may be nowhere.
 
     Attributes:
-        lower: Least abscissa of the centre of mass in W [m]; NaN when empty.
-        upper: Greatest abscissa of the centre of mass in W [m]; NaN when empty.
-        direction: When empty, the unit direction in W in which the contacts cannot push enough, shape (3,).
+        lower: Least abscissa of the centre of mass in W [m]; NaN when empty, -inf where there is no weight to hold.
+        upper: Greatest abscissa of the centre of mass in W [m]; NaN when empty, inf where there is no weight to hold.
+        direction: When empty, the unit direction in W in which the contacts cannot push enough, shape (3,). Without
+            weight it may also be z or -z: they cannot turn enough about it.
         shortfall: When empty, by how much they cannot [N]: `direction . (-weight)` exceeds the greatest
-            `direction . force` of the contacts by this.
+            `direction . force` of the contacts by this. For z or -z, of moments about the contacts' mean [N m].
     """
 
     lower: float
@@ -129,9 +136,10 @@ class SupportProgram:
         min or max  x_CM
         over        t_1, ..., t_k, x_CM
         subject to  (1) sum_i f_i = (0, m g)                                 force balance, x and y
-                    (2) sum_i (p_i - p_0) x f_i = (x_CM - x_0) m g           torque balance about p_0
+                    (2) sum_i (p_i - p_0) x f_i + n_i = (x_CM - x_0) m g     torque balance about p_0
                     (3) lower_i <= t_i <= upper_i                            force limits (4.9)
 
+    n_i is the moment of a gripper that turns its pin, if any. Without weight any x_CM will do if there is a solution.
     Every force in a friction cone is a nonnegative sum of its two edges, so in the plane the cone is exact. The limits
     are the thesis's, on each edge: the contact force itself can be up to twice `max_force` where the cone is narrow.
 
@@ -162,9 +170,12 @@ class SupportProgram:
             columns = slice(i * p, (i + 1) * p)
             balance[:2, columns] = forces.generators[i, :2]
             balance[2, columns] = _cross(arms[i], forces.generators[i])
+            if forces.moments is not None:
+                balance[2, columns] += forces.moments[i]
         balance[2, -1] = -weight
         constant = np.append(forces.offset.sum(axis=0)[:2], _cross(arms.T, forces.offset.T).sum())
         load = np.array([0.0, weight, 0.0]) - constant
+        self._balance, self._load = balance, load
         variables = np.append(self.t.ravel(), self.x_com)
         for rows, name in (([0], "force balance along x"), ([1], "force balance along y"), ([2], "torque balance")):
             row = self.prog.AddLinearEqualityConstraint(balance[rows], load[rows], variables)
@@ -181,6 +192,9 @@ class SupportProgram:
 
     def solve(self) -> SupportInterval:
         """Both ends of the interval, or the direction in which the contacts fail."""
+        if self._weight == 0.0:
+            balanced = ClpSolver().Solve(self.prog).is_success()
+            return SupportInterval(-np.inf, np.inf) if balanced else self._failure()
         ends = []
         for sign in (1.0, -1.0):
             cost = self.prog.AddLinearCost(sign * self.x_com)
@@ -202,9 +216,26 @@ class SupportProgram:
 
     def _failure(self) -> SupportInterval:
         certificate = ShortfallProgram(self._forces, self._weight).solve()
+        if certificate is None and self._weight == 0.0:
+            certificate = self._moment_shortfall()
         if certificate is None:  # the torque row is free through x_CM, so only force balance can fail
             raise RuntimeError("Clp calls a load infeasible that the contacts can carry")
         return SupportInterval(np.nan, np.nan, *certificate)
+
+    def _moment_shortfall(self) -> tuple[Vector, float] | None:
+        """About which of z and -z balanced forces cannot turn enough, and by how much [N m]."""
+        prog = MathematicalProgram()
+        t = prog.NewContinuousVariables(self.t.size, "t")
+        prog.AddLinearEqualityConstraint(self._balance[:2, :-1], self._load[:2], t)
+        prog.AddBoundingBoxConstraint(self._forces.lower.ravel(), self._forces.upper.ravel(), t)
+        for sign in (1.0, -1.0):
+            cost = prog.AddLinearCost(-sign * self._balance[2, :-1], 0.0, t)
+            result = ClpSolver().Solve(prog)
+            prog.RemoveCost(cost)
+            shortfall = sign * self._load[2] + result.get_optimal_cost() if result.is_success() else 0.0
+            if shortfall > 0.0:
+                return np.array([0.0, 0.0, sign]), float(shortfall)
+        return None
 
 
 class ShortfallProgram:

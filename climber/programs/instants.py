@@ -43,6 +43,8 @@ class Margin:
 class Instants:
     """K instants of a motion as equations in t, the multiples of the contacts' generators, n of them.
 
+    A multiple of a generator of moments is in [N m] where the attributes say [N].
+
         E t = b,  tau = c - A t,  lower <= t <= upper,  |tau| <= limit
 
     Attributes:
@@ -72,7 +74,15 @@ class Instants:
     num_joints: int
 
     @classmethod
-    def of_loads(cls, robot: Robot, forces: ContactForces, load: Vector, J: Vector, margin: Margin) -> Instants:
+    def of_loads(
+        cls,
+        robot: Robot,
+        forces: ContactForces,
+        load: Vector,
+        J: Vector,
+        margin: Margin,
+        turning: Vector | None = None,
+    ) -> Instants:
         """The instants at which contact forces and torques must supply given generalised forces.
 
         Args:
@@ -81,12 +91,17 @@ class Instants:
             load: M vd + h [N, N m], shape (K, nv).
             J: Contact Jacobians of the feet in the order of `forces`, shape (K, m, nv), m = 2 k or 3 k.
             margin: How far to stay inside the limits.
+            turning: How fast the feet turn about z by the velocities, see `climber.dynamics.turning`, shape (k, nv);
+                needed where contacts take moments.
         """
         K, nv = load.shape
         k, p = forces.lower.shape
         axes = J.shape[1] // k if k else 3
         J = J.reshape(K, k, axes, nv)
-        wrench: Vector = np.einsum("skav,kap->svkp", J, forces.generators[:, :axes]).reshape(K, nv, k * p)
+        wrench: Vector = np.einsum("skav,kap->svkp", J, forces.generators[:, :axes])
+        if forces.moments is not None and turning is not None:
+            wrench = wrench + np.einsum("kv,kp->vkp", turning, forces.moments)
+        wrench = wrench.reshape(K, nv, k * p)
         rest: Vector = load - np.einsum("skav,ka->sv", J, forces.offset[:, :axes])
         motors = np.flatnonzero(robot.effort > 0.0)
         driven, effort = robot.joint_v[motors], robot.effort[motors]
@@ -171,6 +186,14 @@ class Instants:
         """Torques of all joints [N m], shape (K, num_joints), for t of shape (K, n)."""
         result = np.zeros((len(t), self.num_joints))
         result[:, self.motors] = self.motor_torque(t)
+        return result
+
+    def moment(self, t: Vector) -> Vector:
+        """Moments of the contacts on the robot about z [N m], shape (K, k), for t of shape (K, n)."""
+        k, p = self.forces.lower.shape
+        if self.forces.moments is None:
+            return np.zeros((len(t), k))
+        result: Vector = np.einsum("kp,skp->sk", self.forces.moments, t.reshape(len(t), k, p))
         return result
 
     def force(self, t: Vector) -> Vector:

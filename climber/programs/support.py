@@ -43,7 +43,8 @@ def support_intervals(points: Vector, forces: ContactForces, weight: float) -> V
         weight: The robot's weight along the wall, towards -y [N].
 
     Returns:
-        Least and greatest abscissa of the centre of mass in W [m], shape (M, 2); NaN where no forces carry the weight.
+        Least and greatest abscissa of the centre of mass in W [m], shape (M, 2); NaN where no forces carry the weight,
+        infinite where there is none to carry.
     """
     M, k, p = forces.lower.shape
     return _in_chunks(M, k * p, lambda rows: _sweep(points[rows], forces[rows], weight))
@@ -105,6 +106,9 @@ def _sweep(points: Vector, forces: ContactForces, weight: float) -> Vector:
     base_torque = (arms[..., 0] * base[..., 1] - arms[..., 1] * base[..., 0]).sum(axis=1)  # (B,)
     scaled = forces.generators * (forces.upper - forces.lower)[..., None, :]  # s_j then runs from 0 to 1
     torque = arms[..., 0, None] * scaled[..., 1, :] - arms[..., 1, None] * scaled[..., 0, :]  # (B, k, p)
+    if forces.moments is not None:
+        base_torque = base_torque + (forces.moments * forces.lower).sum(axis=(1, 2))
+        torque = torque + forces.moments * (forces.upper - forces.lower)
     gx, gy, c = (np.ascontiguousarray(a.reshape(B, -1).T) for a in (scaled[..., 0, :], scaled[..., 1, :], torque))
 
     # Twice the load, measured from the middle of the zonogon.
@@ -131,7 +135,12 @@ def _sweep(points: Vector, forces: ContactForces, weight: float) -> Vector:
         )
     middle = 0.5 * (low + high)
     low, high = np.minimum(low, middle), np.maximum(high, middle)  # they may pass each other by rounding on a border
-    ends = points[..., 0].mean(axis=1) + (base_torque + 0.5 * (c.sum(axis=0) + np.stack([low, high]))) / weight
+    moments = base_torque + 0.5 * (c.sum(axis=0) + np.stack([low, high]))
+    if weight == 0.0:  # then moments must cancel, wherever the centre of mass is
+        carried &= (moments[0] <= BALANCE) & (moments[1] >= -BALANCE)
+        ends = np.array([[-np.inf], [np.inf]])
+    else:
+        ends = points[..., 0].mean(axis=1) + moments / weight
     result: Vector = np.where(carried, ends, np.nan).T
     return result
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.solvers import Binding, ClarabelSolver, MathematicalProgram, SolverOptions
 
-from climber.dynamics import DynamicsBatch, evaluate_at_rest
+from climber.dynamics import DynamicsBatch, evaluate_at_rest, turning
 from climber.programs import torque_blocks
 from climber.programs.equilibrium import ContactForces, wall_forces
 from climber.programs.instants import CENTERING, Instants, Margin, Mask
@@ -45,12 +45,14 @@ class TorqueResult:
             "torque limit": those that do and stay inside need more torque than there is.
         violation: By how much at least: the imbalance [N, N m], the distance of t from its limits [N], or the torque
             lacking [N m]. Zero if the motion can be made. Limits are those with the margin.
+        moment: Moments of the contacts on the robot about z [N m], shape (k,); zero unless a gripper turns its pin.
     """
 
     force: Vector
     torque: Vector
     reason: Reason
     violation: float
+    moment: Vector
 
     @property
     def ok(self) -> bool:
@@ -67,12 +69,14 @@ class TorqueBatch:
         torque: Torques in the order of `Robot.joint_names` [N m], shape (K, num_joints).
         violation: By how much the motion cannot be made, in the unit that goes with the reason, zero if it can; (K,).
         codes: Place of each sample's reason in `REASONS`, shape (K,).
+        moment: Moments of the contacts on the robot about z [N m], shape (K, k).
     """
 
     force: Vector
     torque: Vector
     violation: Vector
     codes: NDArray[np.int64]
+    moment: Vector
 
     @cached_property
     def ok(self) -> Mask:
@@ -91,7 +95,8 @@ class TorqueBatch:
 
     def __getitem__(self, k: int) -> TorqueResult:
         """Sample k."""
-        return TorqueResult(self.force[k], self.torque[k], REASONS[self.codes[k]], float(self.violation[k]))
+        reason, violation = REASONS[self.codes[k]], float(self.violation[k])
+        return TorqueResult(self.force[k], self.torque[k], reason, violation, self.moment[k])
 
 
 class TorqueProgram:
@@ -196,7 +201,8 @@ class TorqueProgram:
 
     def _result(self, t: Vector, reason: Reason, violation: float) -> TorqueResult:
         t = self._instant.balanced(t)
-        return TorqueResult(self._instant.force(t)[0], self._instant.torque(t)[0], reason, violation)
+        instant = self._instant
+        return TorqueResult(instant.force(t)[0], instant.torque(t)[0], reason, violation, instant.moment(t)[0])
 
 
 def phase_torques(
@@ -217,7 +223,9 @@ def phase_torques(
         vd: Accelerations [m/s^2, rad/s^2], shape (K, nv).
         margin: How far to stay inside the limits.
     """
-    return solve_instants(Instants.of_loads(robot, _forces(wall, contacts), dynamics.load(vd), dynamics.J, margin))
+    turns = turning(robot, [contact.limb for contact in contacts])
+    load = dynamics.load(vd)
+    return solve_instants(Instants.of_loads(robot, _forces(wall, contacts), load, dynamics.J, margin, turns))
 
 
 def solve_instants(instants: Instants) -> TorqueBatch:
@@ -232,7 +240,7 @@ def solve_instants(instants: Instants) -> TorqueBatch:
     optimum = torque_blocks.optimum(instants[rest], unlimited[rest])
     if optimum is not None:
         t[rest] = optimum
-        return TorqueBatch(instants.force(t), instants.torque(t), violation, codes)
+        return TorqueBatch(instants.force(t), instants.torque(t), violation, codes, instants.moment(t))
     # At least one sample is infeasible, or nearly. Which? The optimum of the others is found without them.
     t[rest], slack = torque_blocks.least_violation(instants[rest])
     roomy, infeasible = rest[slack < -TOLERANCE], rest[slack > TOLERANCE]
@@ -248,13 +256,14 @@ def solve_instants(instants: Instants) -> TorqueBatch:
     fail = s_tau > TOLERANCE
     codes[infeasible[fail]], violation[infeasible[fail]] = REASONS.index("torque limit"), s_tau[fail]
     t = instants.balanced(t)
-    return TorqueBatch(instants.force(t), instants.torque(t), violation, codes)
+    return TorqueBatch(instants.force(t), instants.torque(t), violation, codes, instants.moment(t))
 
 
 def static_feasible(robot: Robot, wall: Wall, q: Vector, contacts: Sequence[Contact], margin: Margin = MARGIN) -> Mask:
     """Which of the postures q, shape (K, nq), can be held still by the contacts and the motors, shape (K,)."""
-    h, J = evaluate_at_rest(robot, q, [contact.limb for contact in contacts])
-    instants = Instants.of_loads(robot, _forces(wall, contacts), h, J, margin)
+    limbs = [contact.limb for contact in contacts]
+    h, J = evaluate_at_rest(robot, q, limbs)
+    instants = Instants.of_loads(robot, _forces(wall, contacts), h, J, margin, turning(robot, limbs))
     t = torque_blocks.unlimited(instants)
     balanced = instants.imbalance(t) <= TOLERANCE
     good = balanced & instants.inside(t)
