@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems import EQUILIBRIUM_PROBLEMS, MASS_OF_20_N, EquilibriumProblem, hold, random_wall
 
-from climber.programs.equilibrium import ContactForces, SupportProgram, wall_forces, weight_in_plane
+from climber.programs.equilibrium import ContactForces, SupportInterval, SupportProgram, wall_forces, weight_in_plane
 from climber.programs.support import contact_intervals, hold_set_intervals, support_intervals
 from climber.stance import Contact
 from climber.wall import GRIPS, Hold, Wall
@@ -88,9 +88,62 @@ def test_an_inclined_wall_pulls_less_along_itself() -> None:
     assert np.isnan(hold_set_intervals(upright, np.array([[0]]), MASS_OF_20_N)).all()
 
 
-def test_a_floor_says_nothing_about_the_centre_of_mass() -> None:
-    with pytest.raises(ValueError, match="no gravity along the wall"):
-        hold_set_intervals(Wall((hold(0, 0),), inclination_deg=0.0), np.array([[0]]), MASS_OF_20_N)
+def on_a_floor(*holds: Hold) -> Wall:
+    return Wall(holds, inclination_deg=0.0)
+
+
+def both_routes(wall: Wall, mass: float = MASS_OF_20_N) -> tuple[SupportInterval, tuple[float, float]]:
+    """The answers of the program and of the batched route for feet on all holds."""
+    every = range(len(wall.holds))
+    lower, upper = hold_set_intervals(wall, np.array([every]), mass)[0]
+    return SupportProgram.of_contacts(wall, [Contact(i, i) for i in every], mass).solve(), (float(lower), float(upper))
+
+
+def test_on_a_floor_pins_hold_the_robot_wherever_its_centre_of_mass_is() -> None:
+    program, batched = both_routes(on_a_floor(hold(0, 0, grip="pin"), hold(1, 0, grip="pin")))
+    assert (program.lower, program.upper) == batched == (-np.inf, np.inf)
+    assert program.margin(3.0) == np.inf
+
+
+def test_on_a_floor_least_forces_that_do_not_cancel_hold_nothing() -> None:
+    program, batched = both_routes(on_a_floor(hold(0, 0, min_force=1.0), hold(1, 0, min_force=1.0)))
+    assert program.empty and np.isnan(batched).all()
+    assert program.direction is not None and program.direction[1] == pytest.approx(-1.0)
+
+
+def test_on_a_floor_forces_that_cancel_may_still_turn_the_robot() -> None:
+    facing = {"friction": 0.0, "min_force": 1.0, "max_force": 2.0}
+    straight = on_a_floor(hold(0, 0, **facing), hold(0, 1, 180.0, **facing))
+    assert not both_routes(straight)[0].empty and both_routes(straight)[1] == (-np.inf, np.inf)
+    program, batched = both_routes(on_a_floor(hold(0, 0, **facing), hold(0.1, 1, 180.0, **facing)))
+    assert program.empty and np.isnan(batched).all()
+    # A couple of at least 2 N (both cone edges coincide) with an arm of 0.1 m.
+    assert program.direction == pytest.approx([0.0, 0.0, 1.0]) and program.shortfall == pytest.approx(0.2)
+
+
+def test_a_gripper_that_turns_its_pin_widens_the_interval_by_moment_over_weight() -> None:
+    wall = Wall((hold(0.3, 0, grip="pin", max_moment=5.0), hold(0.9, 0, min_force=0.0, max_force=0.0)))
+    program, batched = both_routes(wall)
+    assert (program.lower, program.upper) == pytest.approx((0.3 - 5.0 / 20.0, 0.3 + 5.0 / 20.0), abs=1e-9)
+    assert batched == pytest.approx((program.lower, program.upper), abs=1e-9)
+
+
+def test_batched_route_equals_the_program_where_grippers_turn_pins() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(60):
+        holds = [
+            hold(
+                *rng.uniform(0, 1, 2),
+                grip=str(rng.choice(GRIPS)),
+                max_force=rng.uniform(5, 30),
+                max_moment=rng.uniform(0, 3),
+            )
+            for _ in range(3)
+        ]
+        program, batched = both_routes(Wall(tuple(holds)))
+        assert program.empty == bool(np.isnan(batched).any())
+        if not program.empty:
+            assert batched == pytest.approx((program.lower, program.upper), abs=1e-6)
 
 
 def test_batched_route_equals_the_program_on_thousands_of_random_sets() -> None:

@@ -85,6 +85,14 @@ def with_a_free_limb_written_down() -> Plan:
     return replace(step_plan(), robots=(replace(robot, phases=(robot.phases[0], swing, robot.phases[2])),))
 
 
+def with_a_moment_written_down() -> Plan:
+    """The step with the moment on a limb that holds on, zero, in the file."""
+    robot = step_plan().robots[0]
+    swing = robot.phases[1]
+    swing = replace(swing, moment={"left_rear": np.zeros(len(swing.time))})
+    return replace(step_plan(), robots=(replace(robot, phases=(robot.phases[0], swing, robot.phases[2])),))
+
+
 def on_a_model(folder: Path, *changes: tuple[str, str]) -> Plan:
     """The step on a copy of the quadruped's model in which patterns were replaced."""
     source = resolve_model(QUADRUPED)
@@ -145,6 +153,7 @@ EXACTLY = [
     ("friction", step_plan, "scenario/text", told("max_force: 20.0", "max_force: 6.0")),
     ("friction", step_plan, "scenario/text", told("min_force: 1.0", "min_force: 2.5")),
     ("friction", step_plan, f"{PHASE}/1/force/left_rear/40/2", plus(5e-6)),
+    ("moments", with_a_moment_written_down, f"{PHASE}/1/moment/left_rear/40", 5e-6),
     ("free limbs", with_a_free_limb_written_down, f"{PHASE}/1/force/right_front/40/1", 5e-5),
     ("dynamics at samples", step_plan, f"{PHASE}/1/torque/40/2", plus(0.01)),
     ("dynamics at samples", step_plan, f"{PHASE}/1/force/left_front/40/0", plus(0.01)),

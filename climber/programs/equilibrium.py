@@ -51,11 +51,11 @@ class ContactForces:
 
 
 def wall_forces(wall: Wall) -> ContactForces:
-    """The forces that each hold offers to a planar robot; the leading shape is (num_holds,), and p is 2,
-    or 3 if a gripper can turn any of the pins.
+    """The forces that each hold offers to a planar robot; the leading shape is (num_holds,).
 
     Friction: the two edges of the cone (eq. 4.8), each between `min_force` and `max_force` (eq. 4.9). Pin: the axes of
     the plane, each up to `max_force` either way. Magnet: the edges of the cone, shifted by `adhesion` into the hold.
+    So p is 2; where grippers can turn any of the pins, each hold has a third generator for the moment.
 
     Raises:
         ValueError: If the normal of a friction cone leaves the wall plane; the section of a tilted cone is not the cone
