@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -113,9 +115,10 @@ def test_on_a_floor_least_forces_that_do_not_cancel_hold_nothing() -> None:
 
 def test_on_a_floor_forces_that_cancel_may_still_turn_the_robot() -> None:
     facing = {"friction": 0.0, "min_force": 1.0, "max_force": 2.0}
-    straight = on_a_floor(hold(0, 0, **facing), hold(0, 1, 180.0, **facing))
+    opposite = replace(hold(0, 1, **facing), normal=(0.0, -1.0, 0.0))
+    straight = on_a_floor(hold(0, 0, **facing), opposite)
     assert not both_routes(straight)[0].empty and both_routes(straight)[1] == (-np.inf, np.inf)
-    program, batched = both_routes(on_a_floor(hold(0, 0, **facing), hold(0.1, 1, 180.0, **facing)))
+    program, batched = both_routes(on_a_floor(hold(-0.1, 0, **facing), opposite))
     assert program.empty and np.isnan(batched).all()
     # A couple of at least 2 N (both cone edges coincide) with an arm of 0.1 m.
     assert program.direction == pytest.approx([0.0, 0.0, 1.0]) and program.shortfall == pytest.approx(0.2)
