@@ -110,7 +110,8 @@ class _SupportProgram:
         self.upper = cvxpy.Parameter(2 * contacts)
         constraints = [
             self.wrench @ self.t + np.array([0.0, 0.0, 1.0]) * self.n == self.load + self.lever * self.x,
-            cvxpy.abs(self.n) <= self.turning,
+            self.n <= self.turning,
+            -self.n <= self.turning,
             self.t >= self.lower,
             self.t <= self.upper,
         ]

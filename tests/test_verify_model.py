@@ -262,7 +262,8 @@ def test_regions_are_cut_into_convex_pieces_that_cover_them_exactly() -> None:
 def motion(time: Vector, q: Vector, v: Vector, vd: Vector) -> Motion:
     """A motion of one coordinate."""
     column, nothing = (lambda x: x[:, None]), np.zeros((len(time), 1))
-    return Motion(time, column(q), column(v), column(vd), nothing, nothing[:, :, None], np.ones(len(time), bool))
+    sampled = np.ones(len(time), bool)
+    return Motion(time, column(q), column(v), column(vd), nothing, nothing[:, :, None], nothing, sampled)
 
 
 @settings(max_examples=100, deadline=None)
