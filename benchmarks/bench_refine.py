@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.rows import Row
 from climber.curve import Curve, polyline_lengths, rounded, smooth
 from climber.manifold import Body, Manifold
 from climber.path import Leg, Search, find_path, flips
@@ -139,6 +140,10 @@ def compare(title: str, samples: list[Sample]) -> None:
     print(f"  {'':38s} {'median':>7s} {'p90':>7s}   {'feasible':>10s}   {'length':>6s}   {'bend':>6s}")
     for name, (times, curves) in routes.items():
         print(row(name, times, curves, samples))
+    times, curves = routes["refine (rounded, chart program)"]
+    feasible = sum(c is not None and c.feasible(s.manifold) for c, s in zip(curves, samples, strict=True))
+    told = f"median; {feasible} of {len(samples)} feasible"
+    Row(f"refining a leg: {title}", float(np.median(times)), "ms", note=told).show()
 
 
 def postures(samples: list[Sample]) -> None:
