@@ -1,71 +1,44 @@
-"""The task plan: which stances to go through, in the fewest moves and, among those, at least cost, both proved.
+"""The task plan: which stances to go through, in the fewest steps and, among those, at least cost, both proved.
 
-The logic is in `programs/climb.lp`; `layers.py` says what of the graph it is given; here clingo is driven. The proofs
-are about the graph that was given and the cuts made so far, and about nothing else.
+The logic is in `programs/climb.lp` and, for waypoints, teams and refinement, in a file beside it for each;
+`task_program.py` hands it to clingo, `layers.py` says what of the graphs it is given. Here is how planning proceeds.
+The proofs are about the graphs that were given, less what was cut, barred or found in conflict, and nothing else.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cache
-from importlib.resources import files
+from itertools import combinations
+from typing import Literal
 
-import clingo
 import numpy as np
-from clingo import Function, Number, Symbol
 from numpy.typing import ArrayLike
 
+from climber.components import Bar
 from climber.exceptions import ClimberError
-from climber.layers import FAR, Booleans, Integers, Layers, integers
-from climber.task_plan import Attempt, Impossible, OutOfTime, Proofs, TaskPlan, TaskStats
+from climber.joint import joint_positions
+from climber.layers import FAR, Layers
+from climber.states import WAIT, Integers, RobotTask, States, integers
+from climber.task_plan import Attempt, Impossible, OutOfTime, Proofs, TaskPlan, TaskStats, Walk
+from climber.task_program import Answer, Doing, TaskProgram
 
-__all__ = ["Attempt", "Impossible", "OutOfTime", "Proofs", "TaskPlan", "TaskPlanner", "TaskStats"]
+__all__ = [
+    "WAIT",
+    "Attempt",
+    "Impossible",
+    "OutOfTime",
+    "Proofs",
+    "RobotTask",
+    "TaskPlan",
+    "TaskPlanner",
+    "TaskStats",
+    "Walk",
+]
 
-_OPTIONS = ("--seed=0", "--parallel-mode=1", "--models=0", "--warn=none")  # same question, same answer
-# With good potentials the lower bound is the optimum or close to it, and search guided by cores starts from there. On
-# bare costs it does not get off the ground, and branch and bound at least finds plans.
-_FROM_BELOW, _FROM_ABOVE = "--opt-strategy=usc", "--opt-strategy=bb"
-_PATIENCE = 0.25  # [s] at most between looks at the clock; also how long Ctrl-C waits
-
-
-@cache
-def _program() -> str:
-    return files("climber.programs").joinpath("climb.lp").read_text(encoding="utf-8")
-
-
-@dataclass
-class _Answer:
-    """What the solver said about one horizon. `edges` is the best plan found, or None."""
-
-    edges: list[int] | None = None
-    cost: int = 0
-    models: int = 0
-    exhausted: bool = False
-
-
-@dataclass
-class _Facts:
-    """Answers the logic program's questions about the graph. Nothing but numbers passes."""
-
-    layers: Layers
-    goals_within: int = 0
-
-    def start(self) -> Symbol:
-        return Number(self.layers.start)
-
-    def goals(self) -> list[Symbol]:
-        near = self.layers.from_start[self.layers.goals] <= self.goals_within
-        return [Number(goal) for goal in self.layers.goals[near].tolist()]
-
-    def arcs(self, t: Symbol, part: Symbol) -> list[Symbol]:
-        layer = self.layers.layers[t.number - 1]
-        new = layer.part(part.number)
-        edges = layer.edges[new]
-        columns = (edges, self.layers.tail[edges], self.layers.head[edges], layer.weights[new])
-        rows = np.column_stack(columns).tolist()
-        return [clingo.Tuple_([Number(number) for number in row]) for row in rows]
+Deed = tuple[int, Literal["at", "move"], int]  # a robot that waits at a vertex, or moves along an edge, for a step
+_DOUBTS = 6  # after so many horizons without a plan a team is asked whether it can have any
 
 
 @dataclass
@@ -78,76 +51,130 @@ class _Tally:
 
 
 class TaskPlanner:
-    """Plans walks through a directed graph, again and again as edges are cut from it.
+    """Plans walks through directed graphs for one robot or a team, again and again as the graphs are refined.
 
-    What clingo was once given it keeps: a cut adds a constraint, a longer horizon adds the pairs it brings, and nothing
-    is grounded twice.
+    A team moves in synchronous steps: in each, every robot goes along one edge or waits. During a step the holds that
+    a robot stands on before and after it are its own, and no other robot's. What clingo was once given it keeps: a cut
+    adds a constraint, a longer horizon adds the pairs it brings, and nothing is grounded twice.
 
     Args:
-        num_vertices: Vertices are 0 ... num_vertices - 1.
-        tail: Where each edge starts, shape (num_edges,). Parallel edges are allowed.
-        head: Where each edge ends, shape (num_edges,).
-        cost: Non-negative integer cost of each edge, shape (num_edges,).
-        start: The vertex the climb starts from.
-        goals: The vertices it may end on; any number.
+        robots: What each robot is asked to do. For one robot the arguments of its `RobotTask` may stand here instead:
+            `TaskPlanner(num_vertices, tail, head, cost, start, goals)`.
+        task: The rest of those arguments.
         potentials: False minimises bare costs, to the same result but in exponential time (see `Layers.reweigh`).
+        handover: True lets a robot take a hold in the very step in which another lets go of it.
+
+    Attributes:
+        layers: For each robot, what of its graph matters.
 
     Raises:
-        ValueError: If arrays differ in length, or a number is out of range.
+        ValueError: If arrays differ in length, or a number is out of range; if a robot of a team comes without holds,
+            or two robots start on the same hold.
     """
 
     def __init__(
         self,
-        num_vertices: int,
-        tail: ArrayLike,
-        head: ArrayLike,
-        cost: ArrayLike,
-        start: int,
-        goals: Iterable[int],
+        robots: Sequence[RobotTask] | int,
+        *task: ArrayLike | Iterable[int],
         potentials: bool = True,
+        handover: bool = False,
     ) -> None:
-        self.layers = Layers(num_vertices, tail, head, cost, start, goals)
-        self._potentials = potentials
-        self._facts = _Facts(self.layers)
-        self._control = clingo.Control([*_OPTIONS, _FROM_BELOW if potentials else _FROM_ABOVE])
-        self._control.add("base", [], _program())
-        self._control.ground([("base", [])], self._facts)
-        self._horizon = -1  # the horizon last asked for
-        self._refuted = -1  # no plan has so few moves
-        self._pairs, self._moves, self._rules = 1, 0, 0
-        self._ends: dict[tuple[int, int], int] = {}  # (goal, t) -> what clingo counts for being there
+        tasks = robots if isinstance(robots, Sequence) else [RobotTask(robots, *task)]  # type: ignore[arg-type]
+        if not tasks:
+            raise ValueError("robots is empty; there must be one at least")
+        self.layers = [Layers(States(task, waits=len(tasks) > 1)) for task in tasks]
+        _refuse_shared_starts(self.layers)
+        self._potentials, self._handover = potentials, handover
+        self._program = TaskProgram(self.layers, handover)
+        self._conflicts: dict[tuple[Deed, Deed], tuple[Doing, Doing]] = {}
+        self._refuted = -1  # no plan has so few steps
 
     def lower_bound(self) -> int:
-        """A number of moves that no plan can do with less of; `FAR` if there is no plan. The search begins there."""
-        return self.layers.shortest
+        """A number of steps that no plan can do with less of; `FAR` if there is no plan. The search begins there."""
+        return max(layers.shortest for layers in self.layers)
 
-    def cut(self, edges: ArrayLike) -> None:
-        """Takes edges out of the graph for good.
+    def cut(self, edges: ArrayLike, robot: int = 0) -> None:
+        """Takes edges out of a robot's graph for good.
 
         Args:
-            edges: Indices into the arrays the planner was made with; cutting one again changes nothing.
+            edges: Indices into the arrays of its task; cutting one again changes nothing.
+            robot: Number of the robot.
         """
-        cut = self._chosen(edges)
-        self.layers.usable[cut] = False
-        with self._control.backend() as backend:
-            for t, layer in enumerate(self.layers.layers, start=1):
-                for edge in layer.edges[cut[layer.edges]].tolist():
-                    if literal := self._literal("move", edge, t):
-                        backend.add_rule([], [literal])
+        arcs = self._arcs(robot, edges)
+        self.layers[robot].usable[arcs] = False
+        self._program.cut(robot, arcs)
 
-    def penalise(self, edges: ArrayLike, extra_cost: int) -> None:
+    def penalise(self, edges: ArrayLike, extra_cost: int, robot: int = 0) -> None:
         """Makes edges dearer, each by `extra_cost` [cost units], without forbidding them.
 
         Args:
-            edges: Indices into the arrays the planner was made with.
+            edges: Indices into the arrays of the robot's task.
             extra_cost: Added to the cost of each; not negative.
+            robot: Number of the robot.
         """
         if extra_cost < 0:
             raise ValueError(f"extra_cost is {extra_cost}; it must not be negative")
-        self.layers.cost[self._chosen(edges)] += extra_cost
+        self.layers[robot].cost[self._arcs(robot, edges)] += extra_cost
+
+    def split(self, robot: int, vertex: int) -> int | None:
+        """Gives a vertex one component more: 0 and 1 the first time, then 2, and so on.
+
+        A robot on a split vertex is in exactly one of its components until its next move. Any move may lead into any
+        component, and out of any, unless `forbid` says otherwise. A new component lifts what was proved so far.
+
+        Returns:
+            How many components it has now; None if it has `climber.components.MOST_COMPONENTS` and gets no more.
+        """
+        count = self.layers[robot].components.split(_number(vertex, self.layers[robot].states.num_vertices, "vertex"))
+        if count is not None:
+            self._program.open(robot, vertex, count)
+            if count > 2:
+                self._refuted = -1
+        return count
+
+    def forbid(self, robot: int, edge: int, from_component: int | None = None, to_component: int | None = None) -> None:
+        """Bars an edge from leaving one component of its tail for one component of its head.
+
+        Args:
+            robot: Number of the robot.
+            edge: Index into the arrays of its task.
+            from_component: A component of the tail; None for any, or when the tail is not split.
+            to_component: A component of the head; None for any, or when the head is not split.
+
+        Raises:
+            ValueError: If a vertex does not have the component.
+        """
+        layers = self.layers[robot]
+        bar = Bar(_number(edge, layers.states.num_edges, "edge"), from_component, to_component)
+        if from_component is None and to_component is None:
+            self.cut([edge], robot)
+        elif layers.components.bar(bar):
+            self._program.bar(robot, [bar])
+
+    def forbid_start(self, robot: int, component: int) -> None:
+        """Bars a walk from starting in a component of the vertex it starts on, which has been split."""
+        layers = self.layers[robot]
+        layers.components.check(int(layers.states.vertices(np.array(layers.states.start))), component)
+        if component not in layers.components.start_bars:
+            layers.components.start_bars.add(component)
+            self._program.bar_start(robot, component)
+
+    def conflict(self, a: Deed, b: Deed) -> None:
+        """Bars two robots from two things in the same step.
+
+        Args:
+            a: (robot, "move", edge): it goes along the edge. (robot, "at", vertex): it waits there all the step.
+            b: Likewise, of another robot.
+        """
+        if a[0] == b[0]:
+            raise ValueError(f"{a} and {b} are both of robot {a[0]}; a conflict is between two robots")
+        key = (min(a, b), max(a, b))
+        if key not in self._conflicts:
+            self._conflicts[key] = (self._doing(key[0]), self._doing(key[1]))
+            self._program.conflict([self._conflicts[key]])
 
     def plan(self, time_limit: float | None = None) -> TaskPlan | Impossible | OutOfTime:
-        """The cheapest of the shortest climbs on what is left of the graph.
+        """The cheapest of the shortest climbs on what is left of the graphs.
 
         Args:
             time_limit: Give up after so long [s]; search is interrupted, grounding is not. A plan that was found but
@@ -161,153 +188,163 @@ class TaskPlanner:
         """
         tally = _Tally()
         deadline = None if time_limit is None else tally.began + time_limit
-        self.layers.measure()
+        for layers in self.layers:
+            layers.measure()
         tally.layers_seconds += time.perf_counter() - tally.began
-        if self.layers.shortest == FAR:
-            return self._impossible(tally)
+        for robot, layers in enumerate(self.layers):
+            if layers.shortest == FAR:
+                return self._impossible(robot, tally)
         horizon = max(self.lower_bound(), self._refuted + 1)
-        while self._left(deadline) > 0:
+        while deadline is None or time.perf_counter() < deadline:
             answer = self._try(horizon, tally, deadline)
-            if answer.edges is not None:
-                # Every smaller number of moves is below the bound or was refuted, so the makespan is always proved.
-                return self._decoded(answer, Proofs(makespan_proved=True, cost_proved=answer.exhausted), tally)
+            if answer.moves is not None:
+                # Every smaller number of steps is below the bound or was refuted, so the makespan is always proved.
+                return self._decoded(answer, horizon, Proofs(True, cost_proved=answer.exhausted), tally)
             if not answer.exhausted:
                 break
             self._refuted = horizon
             horizon += 1
+            if len(tally.attempts) == _DOUBTS and len(self.layers) > 1:
+                positions = joint_positions(self.layers, list(self._conflicts.values()), self._handover, deadline)
+                if positions is not None:
+                    return self._together_impossible(positions, tally)
         return OutOfTime(horizon, self._stats(tally))
 
-    def _try(self, horizon: int, tally: _Tally, deadline: float | None) -> _Answer:
-        """Asks for a climb of exactly `horizon` moves."""
+    def _try(self, horizon: int, tally: _Tally, deadline: float | None) -> Answer:
+        """Asks for a climb of exactly `horizon` steps."""
         began = time.perf_counter()
-        pairs, moves = self._pairs, self._moves
-        new = self.layers.grow(horizon)
-        changes = self.layers.reweigh(horizon, self._potentials)
+        program = self._program
+        pairs, moves, rules = program.pairs, program.moves, program.rules
+        new = [layers.grow(horizon) for layers in self.layers]
+        changes = [layers.reweigh(horizon, self._potentials) for layers in self.layers]
         weighed = time.perf_counter()
-        self._ground(horizon, new)
-        self._adjust(horizon, changes)
+        program.ask(horizon, new)
+        if any(new):
+            program.refine()
+            for robot, layers in enumerate(self.layers):
+                program.bar(robot, layers.components.bars)
+            program.conflict(self._conflicts.values())
+        program.adjust(horizon, changes)
         grounded = time.perf_counter()
-        answer = self._solve(deadline)
+        answer = program.solve(deadline)
         solved = time.perf_counter()
         tally.layers_seconds += weighed - began
-        statistics = self._control.statistics
-        rules = int(statistics["problem"]["lp"]["rules"])
         attempt = Attempt(
             horizon=horizon,
-            outcome="plan" if answer.edges is not None else "no plan" if answer.exhausted else "out of time",
-            pairs=self._pairs - pairs,
-            moves=self._moves - moves,
-            rules=rules - self._rules,
+            outcome="plan" if answer.moves is not None else "no plan" if answer.exhausted else "out of time",
+            pairs=program.pairs - pairs,
+            moves=program.moves - moves,
+            rules=program.rules - rules,
             ground_seconds=grounded - weighed,
             solve_seconds=solved - grounded,
             models=answer.models,
-            conflicts=int(statistics["solving"]["solvers"]["conflicts"]),
+            conflicts=answer.conflicts,
         )
-        self._rules = rules
         tally.attempts.append(attempt)
         return answer
 
-    def _ground(self, horizon: int, new: list[int]) -> None:
-        """Hands clingo the newest parts of the layers `new`, and the question whether a climb ends at `horizon`."""
-        layers = self.layers.layers
-        parts = [("step", [Number(t), Number(len(layers[t - 1].parts) - 1)]) for t in new]
-        for t in new:
-            added = layers[t - 1].edges[layers[t - 1].part(-1)]
-            self._moves += len(added)
-            self._pairs += len(np.unique(self.layers.head[added]))
-        if horizon != self._horizon:
-            self._facts.goals_within = horizon
-            parts.append(("check", [Number(horizon)]))
-        if parts:
-            self._control.ground(parts, self._facts)
-        if horizon != self._horizon:
-            self._control.release_external(Function("query", [Number(self._horizon)]))
-            self._control.assign_external(Function("query", [Number(horizon)]), True)
-            self._horizon = horizon
-
-    def _adjust(self, horizon: int, changes: list[tuple[int, Integers, Integers]]) -> None:
-        """Corrects what clingo counts: by the difference, since what it was told it keeps."""
-        rises: list[tuple[int, int]] = []
-        for t, positions, amounts in changes:
-            edges = self.layers.layers[t - 1].edges[positions]
-            for edge, amount in zip(edges.tolist(), amounts.tolist(), strict=True):
-                rises.append((self._literal("move", edge, t), amount))
-        wanted = {(goal, horizon): weight for goal, weight in self.layers.ends.items()}
-        for end in self._ends.keys() | wanted.keys():
-            amount = wanted.get(end, 0) - self._ends.get(end, 0)
-            rises.append((self._literal("at", *end), amount))
-        self._ends = wanted
-        rises = [(literal, amount) for literal, amount in rises if literal and amount]
-        if rises:
-            with self._control.backend() as backend:
-                backend.add_minimize(0, rises)
-
-    def _solve(self, deadline: float | None) -> _Answer:
-        """Searches until the best plan is proved, none is proved to exist, or the deadline."""
-        answer = _Answer()
-
-        def note(model: clingo.Model) -> None:
-            steps = sorted((s.arguments[1].number, s.arguments[0].number) for s in model.symbols(shown=True))
-            answer.edges, answer.cost = [edge for _, edge in steps], sum(model.cost)
-            answer.models += 1
-
-        with self._control.solve(on_model=note, async_=True) as handle:
-            left = self._left(deadline)
-            while left > 0 and not handle.wait(left):
-                left = self._left(deadline)
-            handle.cancel()  # without effect on a search that is done
-            answer.exhausted = bool(handle.get().exhausted)
-        return answer
-
-    @staticmethod
-    def _left(deadline: float | None) -> float:
-        """How long to wait before the next look at the clock [s]; not positive once it is too late."""
-        return _PATIENCE if deadline is None else min(_PATIENCE, deadline - time.perf_counter())
-
-    def _decoded(self, answer: _Answer, proofs: Proofs, tally: _Tally) -> TaskPlan:
+    def _decoded(self, answer: Answer, horizon: int, proofs: Proofs, tally: _Tally) -> TaskPlan:
         """The plan, after checking that it is one and costs what the solver says."""
-        edges = answer.edges or []
-        layers = self.layers
-        vertices = [layers.start, *layers.head[edges].tolist()]
-        cost = int(layers.cost[edges].sum())
-        if not (
-            layers.usable[edges].all()
-            and layers.tail[edges].tolist() == vertices[:-1]
-            and vertices[-1] in layers.goals
-            and cost == answer.cost
-        ):
-            raise ClimberError(f"clingo counts {answer.cost} for the moves {edges}: no climb, or one that costs {cost}")
-        return TaskPlan(tuple(vertices), tuple(edges), cost, proofs, self._stats(tally))
+        assert answer.moves is not None
+        walks: list[Walk] = []
+        for robot, layers in enumerate(self.layers):
+            arcs = [answer.moves[robot, t] for t in range(1, horizon + 1) if (robot, t) in answer.moves]
+            components = [answer.components.get((robot, t)) for t in range(horizon + 1)]
+            walks.append(_walk(layers, arcs, components))
+        cost = sum(walk.cost for walk in walks)
+        if cost != answer.cost or any(len(walk.edges) != horizon for walk in walks):
+            raise ClimberError(f"clingo counts {answer.cost} for {walks}: no climb of {horizon} steps and cost {cost}")
+        return TaskPlan(tuple(walks), cost, proofs, self._stats(tally))
 
-    def _impossible(self, tally: _Tally) -> Impossible:
-        layers = self.layers
-        reached = layers.from_start < FAR
-        blocking = np.flatnonzero(~layers.usable & reached[layers.tail] & ~reached[layers.head])
-        frontier = np.unique(layers.tail[blocking])
-        return Impossible(np.flatnonzero(reached), blocking, frontier, self._stats(tally))
+    def _impossible(self, robot: int, tally: _Tally) -> Impossible:
+        """Why this robot has no walk."""
+        layers = self.layers[robot]
+        states = layers.states
+        reached = np.zeros(states.num_states, bool)
+        reached[layers.components.states_of_nodes()[layers.reached < FAR]] = True
+        reached[states.start] = True  # if every component of the start is barred it stays there
+        leaving = np.flatnonzero(reached[states.tail] & ~reached[states.head])
+        blocking = np.unique(leaving // states.stages)
+        vertices = np.unique(states.vertices(np.flatnonzero(reached)))
+        return Impossible(
+            reached=vertices,
+            blocking=blocking,
+            frontier=np.unique(states.edge_tail[blocking]),
+            stats=self._stats(tally),
+            robot=robot,
+            missing=tuple(i for i, there in enumerate(states.waypoints) if not np.isin(there, vertices).any()),
+            waypoints=len(states.waypoints),
+            barred=int(layers.usable[leaving].sum()),
+        )
+
+    def _together_impossible(self, positions: int, tally: _Tally) -> Impossible:
+        nothing = np.empty(0, np.int64)
+        return Impossible(nothing, nothing, nothing, self._stats(tally), robot=None, joint=positions)
 
     def _stats(self, tally: _Tally) -> TaskStats:
-        shortest = self.layers.shortest
+        shortest = self.lower_bound()
         return TaskStats(
             shortest=None if shortest == FAR else shortest,
             attempts=tuple(tally.attempts),
-            pairs=self._pairs,
-            moves=self._moves,
+            pairs=self._program.pairs,
+            moves=self._program.moves,
             layers_seconds=tally.layers_seconds,
             seconds=time.perf_counter() - tally.began,
         )
 
-    def _chosen(self, edges: ArrayLike) -> Booleans:
-        """A mask over all edges."""
-        indices = integers(np.atleast_1d(edges), "edges")
-        count = len(self.layers.usable)
+    def _arcs(self, robot: int, edges: ArrayLike) -> Integers:
+        """The arcs along some edges."""
+        states = self.layers[robot].states
+        indices, count = integers(np.atleast_1d(edges), "edges"), states.num_edges
         if len(indices) and (indices.min() < 0 or indices.max() >= count):
             raise ValueError(f"edges reach from {indices.min()} to {indices.max()}; they are numbered 0 to {count - 1}")
-        chosen = np.zeros(count, bool)
-        chosen[indices] = True
-        return chosen
+        return (indices[:, None] * states.stages + np.arange(states.stages)).ravel()
 
-    def _literal(self, name: str, number: int, t: int) -> int:
-        """Clingo's number for the atom `name(number, t)`; 0 if it has none because it cannot be true."""
-        atom = self._control.symbolic_atoms[Function(name, [Number(number), Number(t)])]
-        return 0 if atom is None else atom.literal
+    def _doing(self, deed: Deed) -> Doing:
+        """The arcs that count as a deed."""
+        robot, kind, number = deed
+        states = self.layers[robot].states
+        if kind == "move":
+            return robot, states.arcs(_number(number, states.num_edges, "edge"))
+        if kind == "at":
+            return robot, states.waits(_number(number, states.num_vertices, "vertex"))
+        raise ValueError(f'a conflict is "at" a vertex or a "move", not {kind!r}')
+
+
+def _walk(layers: Layers, arcs: list[int], components: list[int | None]) -> Walk:
+    """The walk along some arcs, after checking that it is one."""
+    states = layers.states
+    path = [states.start, *states.head[arcs].tolist()]
+    vertices = [state // states.stages for state in path]
+    edges = [states.edge(arc) for arc in arcs]
+    if not (
+        layers.usable[arcs].all()
+        and states.tail[arcs].tolist() == path[:-1]
+        and path[-1] in states.goals
+        and [vertex in layers.components.counts for vertex in vertices] == [c is not None for c in components]
+    ):
+        raise ClimberError(f"clingo's moves {edges} with the components {components} are no climb")
+    visited = [set(states.visited(state)) for state in path]
+    visits = [next(t for t, seen in enumerate(visited) if i in seen) for i in range(len(states.waypoints))]
+    cost = int(layers.cost[arcs].sum())
+    return Walk(tuple(vertices), tuple(edges), tuple(components), tuple(visits), cost)
+
+
+def _number(number: int, count: int, name: str) -> int:
+    if not 0 <= number < count:
+        raise ValueError(f"{name} is {number}; it must be 0 to {count - 1}")
+    return int(number)
+
+
+def _refuse_shared_starts(robots: list[Layers]) -> None:
+    """Says so if two robots start on the same hold, or it cannot be known."""
+    if len(robots) == 1:
+        return
+    starts: list[set[int]] = []
+    for number, layers in enumerate(robots):
+        if layers.states.holds is None:
+            raise ValueError(f"robot {number} comes without the holds of its vertices; a team needs them")
+        starts.append(set(layers.states.holds[layers.states.start // layers.states.stages].tolist()))
+    for one, other in combinations(range(len(robots)), 2):
+        if shared := sorted(starts[one] & starts[other]):
+            raise ValueError(f"robots {one} and {other} both start on hold {shared[0]}")

@@ -79,12 +79,13 @@ def assert_certificate(graph: Graph, answer: Impossible, cut: set[int]) -> None:
 def assert_given_once(planner: TaskPlanner) -> None:
     """No (edge, t) is in two parts, and neither is any (vertex, t)."""
     pairs = moves = 0
-    for layer in planner.layers.layers:
-        parts = [layer.edges[layer.part(k)].tolist() for k in range(len(layer.parts))]
-        heads = [set(planner.layers.head[part].tolist()) for part in parts]
-        assert len(set(layer.edges.tolist())) == len(layer.edges) == sum(map(len, parts))
+    (layers,) = planner.layers
+    for layer in layers.layers:
+        parts = [layer.arcs[layer.part(k)].tolist() for k in range(len(layer.parts))]
+        heads = [set(layers.states.head[part].tolist()) for part in parts]
+        assert len(set(layer.arcs.tolist())) == len(layer.arcs) == sum(map(len, parts))
         assert len(set().union(*heads)) == sum(map(len, heads))
-        pairs, moves = pairs + sum(map(len, heads)), moves + len(layer.edges)
+        pairs, moves = pairs + sum(map(len, heads)), moves + len(layer.arcs)
     stats = planner.plan().stats
     assert (stats.pairs, stats.moves) == (pairs + 1, moves)
 
@@ -290,11 +291,10 @@ def test_only_pairs_on_shortest_walks_are_given_at_first() -> None:
     graph.edges += [(26, 40, 1), (9, 18, 1), (18, 9, 1), (18, 0, 1), (0, 19, 1)]
     planner = graph.planner()
     plan = planner.plan()
-    given = {(int(planner.layers.head[e]), t) for t, y in enumerate(planner.layers.layers, 1) for e in y.edges}
-    forwards = planner.layers.from_start
-    on_shortest = {
-        (v, int(forwards[v])) for v in range(graph.num_vertices) if forwards[v] + planner.layers.to_goal[v] == 8
-    }
+    (layers,) = planner.layers
+    given = {(int(layers.states.head[arc]), t) for t, y in enumerate(layers.layers, 1) for arc in y.arcs}
+    forwards = layers.from_start
+    on_shortest = {(v, int(forwards[v])) for v in range(graph.num_vertices) if forwards[v] + layers.to_goal[v] == 8}
     assert given | {(18, 0)} == on_shortest
     assert plan.stats.pairs == len(on_shortest) < graph.num_vertices
 
@@ -326,11 +326,12 @@ def test_no_two_moves_are_made_at_once_however_they_were_given() -> None:
         assert isinstance(planner.plan(), TaskPlan)
         planner.cut([last])
     assert isinstance(planner.plan(), TaskPlan)
-    assert len(planner.layers.layers[0].parts) == 4
-    symbols = [clingo.Function("move", [clingo.Number(edge), clingo.Number(1)]) for edge in firsts]
+    assert len(planner.layers[0].layers[0].parts) == 4
+    symbols = [clingo.Function("move", [clingo.Number(number) for number in (0, edge, 1)]) for edge in firsts]
+    control = planner._program._control
     for one, other in itertools.combinations(symbols, 2):
-        assert planner._control.solve(assumptions=[(one, True), (other, True)]).unsatisfiable
-    assert planner._control.solve(assumptions=[(symbols[-1], True)]).satisfiable
+        assert control.solve(assumptions=[(one, True), (other, True)]).unsatisfiable
+    assert control.solve(assumptions=[(symbols[-1], True)]).satisfiable
 
 
 def test_same_questions_get_the_same_answers() -> None:
