@@ -292,6 +292,7 @@ class TaskProgram:
         answer = Answer()
         if self._left(deadline) <= 0:
             return answer  # an easy search would be done before it can be stopped
+
         def note(model: clingo.Model) -> None:
             answer.moves, answer.components = {}, {}
             for symbol in model.symbols(shown=True):

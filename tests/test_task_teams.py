@@ -248,7 +248,7 @@ def assert_answers_are_best(team: Team, data: st.DataObject, rounds: int) -> Non
             teach(data, team, planner, answer)
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(robot=climbers(), data=st.data())
 def test_walks_past_waypoints_are_shortest_then_cheapest(robot: Climber, data: st.DataObject) -> None:
     waypoints(data, robot, most=3)
@@ -257,14 +257,14 @@ def test_walks_past_waypoints_are_shortest_then_cheapest(robot: Climber, data: s
     assert_answers_are_best(Team([robot]), data, rounds=1)
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(robot=climbers(), data=st.data())
 def test_refined_graphs_are_planned_exactly_whatever_they_were_taught(robot: Climber, data: st.DataObject) -> None:
     waypoints(data, robot, most=1)
     assert_answers_are_best(Team([robot]), data, rounds=6)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(robots=st.lists(climbers(3, 5, 4), min_size=2, max_size=2), data=st.data())
 def test_two_robots_never_share_a_hold_and_are_together_fastest_then_cheapest(
     robots: list[Climber], data: st.DataObject
@@ -274,7 +274,7 @@ def test_two_robots_never_share_a_hold_and_are_together_fastest_then_cheapest(
     assert_answers_are_best(Team(robots, handover=data.draw(st.booleans(), label="handover")), data, rounds=5)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(robots=st.lists(climbers(2, 4, 2, holds=14), min_size=3, max_size=3), data=st.data())
 def test_three_robots_likewise(robots: list[Climber], data: st.DataObject) -> None:
     starts = [{*robot.holds[robot.start]} for robot in robots]
