@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.ndimage import maximum_filter1d
 
 from climber.curve import Curve
 from climber.manifold import Chart
@@ -68,27 +69,38 @@ def _rates(chart: Chart, q: Vector, du: Vector, ddu: Vector | None = None) -> tu
 class PacedPath:
     """One leg of a path, paced: the coordinates as functions of sigma, the time it takes at full joint rates [s].
 
+    No joint is faster than its limit while sigma runs no faster than time; the pelvis, which has no limit of its own,
+    keeps to 1 m/s and 1 rad/s.
+
     Attributes:
         chart: The leg's chart.
         length: sigma at the end [s].
     """
 
     GRID = 33  # coarse on purpose: a pace that follows every turn of the path jerks
+    FINER = 8  # times finer is the grid on which rates are held to their limits
 
     def __init__(self, curve: Curve) -> None:
         self.chart, self._curve = curve.chart, curve
         chart = curve.chart
-        s = np.linspace(0.0, 1.0, self.GRID)
+        s = np.linspace(0.0, 1.0, self.FINER * (self.GRID - 1) + 1)
         q, _ = chart.expand(curve.u(s))
         dq, _ = _rates(chart, q, curve.du(s))
-        limits = np.full(q.shape[1], 1.0)  # [m/s, rad/s] of the pelvis, which has no limit of its own
+        limits = np.full(q.shape[1], 1.0)
         for limb in chart.body.robot.limbs:
             limits[limb.v] = limb.velocity
-        limits = np.where(np.isfinite(limits), limits, 10.0)
-        # A smooth stand-in for the largest share of its limit that any joint uses.
-        share = (np.abs(dq / limits) ** 4).sum(axis=1) ** (1 / 4)
+        used = np.abs(dq / np.where(np.isfinite(limits), limits, 10.0))  # shares of the limits, per unit of s
+        # A smooth stand-in for the largest share, at each knot as large as anywhere up to the next.
+        smooth = (used**4).sum(axis=1) ** (1 / 4)
+        share = maximum_filter1d(smooth, 2 * self.FINER + 1, mode="nearest")[:: self.FINER]
         # Crawl rather than jump where the path hardly moves the joints.
-        pace = CubicSpline(s, share + 0.05 * share.mean() + 1e-9)
+        share = share + 0.05 * share.mean() + 1e-9
+        knots = s[:: self.FINER]
+        pace = CubicSpline(knots, share)
+        if pace(s).min() < 0.5 * share.min():  # it swings too far down beside a sharp peak
+            pace = PchipInterpolator(knots, share)
+        # Should anything still stand out between the knots, it slows the whole leg.
+        pace.c *= max(1.0, float((used.max(axis=1) / pace(s)).max()))
         self._sigma, self._pace, self._pace_rate = pace.antiderivative(), pace, pace.derivative()
         self._grid = s, self._sigma(s)
         self.length = float(self._sigma(1.0))
