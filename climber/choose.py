@@ -62,14 +62,16 @@ class Candidates:
         return result
 
     def best(self) -> list[int] | None:
-        """The candidate of each layer on the cheapest way through, or None when everything is barred."""
+        """The candidate of each layer on the cheapest way through, or None when there is none."""
+        if not all(len(layer.q) for layer in self.layers):
+            return None
         total = np.zeros(len(self.layers[0].q))
         before = []
         for i in range(len(self.layers) - 1):
             through = total[:, None] + self.costs(i)
             before.append(through.argmin(axis=0))
             total = through.min(axis=0)
-        if not len(total) or not np.isfinite(total.min()):
+        if not np.isfinite(total.min()):
             return None
         chosen = [int(total.argmin())]
         for back in reversed(before):

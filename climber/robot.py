@@ -182,6 +182,8 @@ class Robot:
                 raise ModelError(
                     f"{self.model.path}: joint {joint.name()!r} is {joint.type_name()}; limbs revolve only"
                 )
+            if not min(joint.velocity_upper_limits()[0], -joint.velocity_lower_limits()[0]) > 0:
+                raise ModelError(f"{self.model.path}: joint {joint.name()!r} must be allowed to move both ways")
         # The pieces between successive joint axes; no chain reaches farther than their lengths together.
         frames = [joint.frame_on_child() for joint in joints] + [self.plant.GetFrameByName(foot)]
         context = self.plant.CreateDefaultContext()
