@@ -66,7 +66,9 @@ class Problem:
     goals: list[int]
 
     def planner(self, potentials: bool = True) -> TaskPlanner:
-        return TaskPlanner(len(self.holds), self.tail, self.head, self.cost, self.start, self.goals, potentials)
+        return TaskPlanner(
+            len(self.holds), self.tail, self.head, self.cost, self.start, self.goals, potentials=potentials
+        )
 
     def peer(self, encoding: str) -> thesis_asp.PeerPlan:
         edges = [
