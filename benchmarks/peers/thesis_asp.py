@@ -31,7 +31,14 @@ def pose(holds: Sequence[int]) -> str:
     return f"pose({','.join(str(hold) for hold in sorted(holds))})"
 
 
-def plan(edges: Iterable[Edge], start: Sequence[int], goal: Sequence[int], encoding: str = "literal") -> PeerPlan:
+def plan(
+    edges: Iterable[Edge],
+    start: Sequence[int],
+    goal: Sequence[int],
+    encoding: str = "literal",
+    waypoint: Sequence[int] | None = None,
+    other: tuple[Sequence[int], Sequence[int]] | None = None,
+) -> PeerPlan:
     """The fewest moves between two poses, at least cost, proved.
 
     Args:
@@ -39,12 +46,22 @@ def plan(edges: Iterable[Edge], start: Sequence[int], goal: Sequence[int], encod
         start: Holds of the first pose.
         goal: Holds of the last pose.
         encoding: Name of the program beside this file.
+        waypoint: Holds of a pose to be visited on the way.
+        other: Holds of the first and the last pose of a second robot on the same wall; takes a `two_` encoding.
     """
     began = time.perf_counter()
     facts = [f"edge({pose(before)},{pose(after)},{cost})." for before, after, cost in edges]
-    facts += [f"init({pose(start)}).", f"goal({pose(goal)})."]
+    if other is None:
+        facts += [f"init({pose(start)}).", f"goal({pose(goal)})."]
+    else:
+        for robot, ends in enumerate(((start, goal), other)):
+            facts += [f"robot({robot}).", f"init({robot},{pose(ends[0])}).", f"goal({robot},{pose(ends[1])})."]
+    programs = [encoding] if waypoint is None else [encoding, "waypoint"]
+    if waypoint is not None:
+        facts.append(f"waypoint({pose(waypoint)}).")
+    text = "\n".join((Path(__file__).parent / f"{program}.lp").read_text() for program in programs)
     control = clingo.Control(["--opt-mode=opt", "--models=0", "--warn=none"])
-    control.add("base", [], (Path(__file__).parent / f"{encoding}.lp").read_text() + "\n".join(facts))
+    control.add("base", [], text + "\n".join(facts))
     ground_seconds, step = 0.0, 0
     while True:
         t = clingo.Number(step)
