@@ -252,6 +252,10 @@ class Clearance:
         """Thickness of the link's segments [m], shape (S,)."""
         return self._outlines[link].radius
 
+    def rings(self, link: int) -> tuple[range, ...]:
+        """Places of the segments, among the link's, that enclose each polygon."""
+        return self._outlines[link].rings
+
     def to_obstacles(self, start: Vector, end: Vector, radius: Vector) -> Vector:
         """Distance of thick segments (..., S, 2) to the nearest obstacle [m], shape (...)."""
         if self._obstacles is None:

@@ -3,7 +3,7 @@
 A program that checks must not share the mistakes of the one that made the plan, so nothing of the planner is used here:
 no stance graph, manifold, motion or program, only the file (`plan_file`), the scenario in it (`scenario`, `wall`) and
 the model (`robot`). What is asked of a plan, and how exactly, is listed in `verify_rules`. What is *not* checked: that
-the plan has the fewest moves or the least cost, that cut moves are impossible, and whether several robots meet.
+the plan has the fewest moves or the least cost, and that cut moves are impossible.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from climber.verify_model import Tree
 from climber.verify_motion import MotionChecks
 from climber.verify_rules import LENGTH, RULES
 from climber.verify_structure import StructureChecks
+from climber.verify_team import TeamChecks
 from climber.wall import Wall
 
 __all__ = ["Check", "Verdict", "verify"]
@@ -50,13 +51,13 @@ def verify(plan: Plan | str | Path) -> Verdict:
         raise PlanFileError(f"{source}: robots: the scenario's robots are expected: {', '.join(names)}")
     wall = scenario.build_wall()
     ledger = Ledger(RULES)
-    for number, robot_plan in enumerate(read.robots):
-        robot = _robot(scenario, number, robot_plan, wall, source)
+    robots = [_robot(scenario, number, robot_plan, wall, source) for number, robot_plan in enumerate(read.robots)]
+    for number, (robot, robot_plan) in enumerate(zip(robots, read.robots, strict=True)):
         spec = scenario.robots[number]
         StructureChecks(robot, wall, spec, robot_plan, ledger).check()
         MotionChecks(robot, wall, spec, robot_plan, ledger).check()
-    if len(read.robots) > 1:
-        ledger.faults("robots", ["verify cannot yet tell whether several robots keep clear of one another"])
+    if len(robots) > 1:
+        TeamChecks(robots, read.robots, ledger).check()
     return Verdict(source, ledger.checks())
 
 

@@ -110,6 +110,12 @@ class Distances:
     pairs: list[str]
 
 
+def outlines(robot: Robot) -> list[Outline]:
+    """The outlines of a robot's collision shapes."""
+    scene = _Scene(robot, ())
+    return [scene.outline(geometry) for geometry in scene.geometries()]
+
+
 class Outlines:
     """Exact distances between the parts of a planar robot, and from them to regions of the wall plane."""
 

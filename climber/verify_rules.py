@@ -30,7 +30,6 @@ DYNAMICS_BETWEEN = 0.05  # [N, N m]
 MODEL = 1e-8  # [m, N, N m] verify's own mechanics against Drake's
 
 RULES: Final[dict[str, Rule]] = {
-    "robots": Rule("robots keep clear of one another", "at most", 0, "faults"),
     "stances": Rule("consecutive stances differ in one limb, and no hold carries two", "at most", 0, "faults"),
     "phases": Rule("shifts and swings alternate, with the contacts that the stances say", "at most", 0, "faults"),
     "start stance": Rule("the first stance is the scenario's start", "at most", 0, "faults"),
@@ -54,6 +53,9 @@ RULES: Final[dict[str, Rule]] = {
     "torque limits": Rule("joint torques within their limits (excess)", "at most", TORQUE, "N m"),
     "self clearance": Rule("links and pelvis do not touch", "at least", -LENGTH, "m"),
     "obstacle clearance": Rule("no link touches an obstacle or an avoided region", "at least", -LENGTH, "m"),
+    "clock": Rule("all robots begin at time 0 and end together", "at most", SAME, "s"),
+    "holds of one": Rule("a hold carries one robot, and the next strictly later", "at most", 0, "faults"),
+    "robot clearance": Rule("robots do not touch one another", "at least", -LENGTH, "m"),
     "equilibrium": Rule("the centre of mass is over the support interval (margin)", "at least", -LENGTH, "m"),
     "friction": Rule("contact forces within cones and limits (excess)", "at most", FORCE, "N"),
     "moments": Rule("moments on grippers within what their pins take (excess)", "at most", FORCE, "N m"),

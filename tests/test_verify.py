@@ -28,11 +28,16 @@ from plans import (
 )
 
 import climber.verdict
+from climber.clearance import segment_distance
 from climber.exceptions import ModelError, PlanFileError
+from climber.kinematics import Kinematics
 from climber.plan_file import Plan
 from climber.resources import resolve_model
+from climber.robot import Model, Robot
+from climber.verdict import Ledger
 from climber.verify import verify
 from climber.verify_rules import RULES
+from climber.verify_team import TeamChecks
 
 PHASE = "robots/0/phases"
 
@@ -255,7 +260,8 @@ def test_no_number_of_a_motion_goes_unchecked(phase: int, number: tuple[str, int
 
 def test_every_check_is_tripped_by_a_test_here() -> None:
     tripped = {case[0] for case in EXACTLY} | {case[0] for case in SEVERAL} | SEVERAL[0][1]
-    assert set(RULES) - tripped == {"mechanics", "robots"}  # these two have tests of their own
+    own = {"mechanics", "clock", "holds of one", "robot clearance"}  # these have tests of their own
+    assert set(RULES) - tripped == own
 
 
 def test_samples_that_are_too_far_apart_are_found() -> None:
@@ -302,24 +308,100 @@ def test_waypoints_must_come_in_their_order() -> None:
     assert failing(retold(step_plan(), first, second + first).to_json()) == {"waypoints"}
 
 
-def test_several_robots_are_not_passed_before_their_meetings_can_be_checked() -> None:
-    aside = np.array([1.0, 0.0, 0.0])
+def two_standing(apart: float, late: float = 0.0) -> Plan:
+    """Two robots that stand still side by side.
+
+    Args:
+        apart: How far the second is to the right of the first [m].
+        late: How much later than the first it begins [s].
+    """
+    aside = np.array([apart, 0.0, 0.0])
     positions = np.vstack([AT_THE_EDGE.positions, AT_THE_EDGE.positions + aside[:2]])
     one = still_plan(Ground(positions, np.array([[0.0, 1.0]] * 8)), (0.0, 0.01, 0.05))
-    assert verify(one).ok
+    one = retold(one, "  - polygon: {vertices: [[0.26, -0.1], [0.40, -0.1], [0.40, 0.1], [0.33, 0.0]]}\n", "")
     first, phase = one.robots[0], one.robots[0].phases[0]
     contacts = tuple(replace(c, hold=c.hold + 4, point=c.point + aside) for c in phase.contacts)
-    phase = replace(phase, contacts=contacts, q=phase.q + np.eye(11)[0])
+    phase = replace(phase, contacts=contacts, q=phase.q + apart * np.eye(11)[0], time=phase.time + late)
     stance = {limb: hold + 4 for limb, hold in first.stances[0].items()}
     second = replace(first, name="other", stances=(stance,), phases=(phase,))
     spec = f"""\
 - name: other
   model: {QUADRUPED}
   start: {{right_front: 4, left_front: 5, left_rear: 6, right_rear: 7}}
-  goal: {{pelvis: {{circle: {{center: [1.0, 0.0], radius: 0.2}}}}}}
+  goal: {{pelvis: {{circle: {{center: [{apart}, 0.0], radius: 0.2}}}}}}
 """
-    both = replace(one, scenario_text=one.scenario_text + spec, robots=(first, second))
-    assert failing(both.to_json()) == {"robots"}
+    return replace(one, scenario_text=one.scenario_text + spec, robots=(first, second))
+
+
+def test_two_robots_side_by_side_hold_and_their_distance_is_told() -> None:
+    verdict = verify(two_standing(1.0))
+    assert verdict.ok, str(verdict)
+    check = verdict["robot clearance"]
+    # Thighs and shanks are 6 mm thick around the lines from hip to knee to foot.
+    kinematics, q = Kinematics(Robot(Model.load(QUADRUPED))), two_standing(1.0).robots[0].phases[0].q[:1]
+    hips, knees = (np.array([pose.origin[0, :2] for pose in kinematics.poses(q)[k::2]]) for k in (1, 2))
+    feet, aside = kinematics.feet(q)[0, :, :2], np.array([1.0, 0.0])
+    start, end = np.concatenate([hips, knees]), np.concatenate([knees, feet])
+    between = segment_distance(start[:, None], end[:, None], start + aside, end + aside).min()
+    assert check.worst == pytest.approx(between - 2 * 0.006, abs=1e-9)
+    assert re.match(r"quadruped, right_\w+ and other, left_\w+, t = \d\.\d{4} s", check.where)
+
+
+@pytest.mark.parametrize("step", [1e-4, -1e-4])
+def test_robots_that_touch_by_a_tenth_of_a_millimetre_are_found(step: float) -> None:
+    """Moved together until they touch, and that much farther or less far."""
+    worst = verify(two_standing(1.0))["robot clearance"].worst
+    assert worst is not None
+    near = 1.0 - worst
+    for _ in range(40):  # not along the line between the nearest points, so that it takes a few steps
+        worst = verify(two_standing(near))["robot clearance"].worst
+        assert worst is not None
+        if abs(worst) < 1e-9:
+            break
+        near -= worst
+    assert failing(two_standing(near + step).to_json()) == (set() if step > 0 else {"robot clearance"})
+
+
+def test_robots_on_clocks_of_their_own_are_found() -> None:
+    assert failing(two_standing(1.0, late=1e-6).to_json()) == {"clock"}
+    verdict = verify(two_standing(1.0, late=1e-6))
+    assert verdict["clock"].worst == pytest.approx(1e-6)
+    longer = edited(two_standing(1.0), "robots/0/phases/0/time/2", plus(1e-7))
+    assert failing(longer) == {"clock", "sampling"}
+
+
+def meeting(holds: dict[int, int], late: float) -> set[str]:
+    """Team checks failed by two robots that step at once, 2 m apart.
+
+    Args:
+        holds: The second's holds that are numbered otherwise than the first's plus 10.
+        late: How much later the second is [s].
+    """
+    first = step_plan().robots[0]
+    phases = []
+    for phase in first.phases:
+        contacts = tuple(replace(c, hold=holds.get(c.hold, c.hold + 10)) for c in phase.contacts)
+        phases.append(replace(phase, contacts=contacts, q=phase.q + 2.0 * np.eye(11)[0], time=phase.time + late))
+    second = replace(first, name="other", phases=tuple(phases))
+    ledger = Ledger(RULES)
+    robot = Robot(Model.load(QUADRUPED))
+    TeamChecks([robot, robot], [first, second], ledger).check()
+    return {check.name for check in ledger.checks() if not check.ok}
+
+
+def test_a_hold_may_be_passed_on_but_never_shared() -> None:
+    """The first is on hold 0 until 0.8 s and on 4 from 1.6 s on; the second's right front foot does likewise."""
+    assert meeting({}, 0.0) == set()
+    assert meeting({4: 0}, 0.0) == set()  # taken 0.8 s after it was left
+    assert meeting({0: 4}, 0.0) == set()
+    assert meeting({0: 4}, 0.79) == {"clock"}
+    assert meeting({0: 4}, 0.81) == {"clock", "holds of one"}
+    assert meeting({1: 1}, 0.0) == {"holds of one"}
+
+
+def test_a_hold_that_is_taken_at_the_very_instant_at_which_it_is_left_is_shared() -> None:
+    end = step_plan().robots[0].phases[1].time[-1] - step_plan().robots[0].phases[0].time[-1]
+    assert meeting({0: 4}, float(end)) == {"clock", "holds of one"}
 
 
 def test_the_verdict_says_where() -> None:
