@@ -28,12 +28,13 @@ from plans import (
 )
 
 import climber.verdict
-from climber.clearance import segment_distance
+from climber.encounter import Pair, Track
 from climber.exceptions import ModelError, PlanFileError
-from climber.kinematics import Kinematics
+from climber.manifold import Body
 from climber.plan_file import Plan
 from climber.resources import resolve_model
 from climber.robot import Model, Robot
+from climber.scenario import scenario_from_text
 from climber.verdict import Ledger
 from climber.verify import verify
 from climber.verify_rules import RULES
@@ -337,13 +338,12 @@ def test_two_robots_side_by_side_hold_and_their_distance_is_told() -> None:
     verdict = verify(two_standing(1.0))
     assert verdict.ok, str(verdict)
     check = verdict["robot clearance"]
-    # Thighs and shanks are 6 mm thick around the lines from hip to knee to foot.
-    kinematics, q = Kinematics(Robot(Model.load(QUADRUPED))), two_standing(1.0).robots[0].phases[0].q[:1]
-    hips, knees = (np.array([pose.origin[0, :2] for pose in kinematics.poses(q)[k::2]]) for k in (1, 2))
-    feet, aside = kinematics.feet(q)[0, :, :2], np.array([1.0, 0.0])
-    start, end = np.concatenate([hips, knees]), np.concatenate([knees, feet])
-    between = segment_distance(start[:, None], end[:, None], start + aside, end + aside).min()
-    assert check.worst == pytest.approx(between - 2 * 0.006, abs=1e-9)
+    # The planner measures in another way.
+    plan = two_standing(1.0)
+    robot = Robot(Model.load(QUADRUPED))
+    body = Body(robot, scenario_from_text(plan.scenario_text, "text").build_wall())
+    one, two = (Track.standing(robot_plan.phases[0].q[0]) for robot_plan in plan.robots)
+    assert check.worst == pytest.approx(Pair(body, body).nearest(one, two, 0.0).distance, abs=1e-9)
     assert re.match(r"quadruped, right_\w+ and other, left_\w+, t = \d\.\d{4} s", check.where)
 
 
