@@ -38,12 +38,15 @@ class Conflict:
         one: A robot, and whether it moves or waits.
         two: The other, likewise; one of them moves.
         encounter: Where they come too near if both begin together; time since the step began.
+        standing: "start" or "end" if it is in the postures they begin or end the step in that they are too near, None
+            if it is only on the way.
     """
 
     step: int
     one: tuple[int, Activity]
     two: tuple[int, Activity]
     encounter: Encounter
+    standing: Literal["start", "end"] | None
 
 
 @dataclass(frozen=True)
@@ -157,7 +160,7 @@ class Team:
                 conflicts.append(replace(meetings.conflict(), step=step))
                 continue
             offsets = np.cumsum([0.0, *(max(now[robot].duration for robot in turn) for turn in rounds)])
-            begin = {robot: starts[-1] + offsets[place] for place, turn in enumerate(rounds) for robot in turn}
+            begin = {robot: starts[-1] + float(offsets[place]) for place, turn in enumerate(rounds) for robot in turn}
             for pair, encounter in meetings.closest(rounds, begin, starts[-1]):
                 if encounter.distance < nearest.distance:
                     nearest, robots = encounter, pair
@@ -309,7 +312,13 @@ class _Meetings:
             return 3 * self._clear(*pair, -1)
 
         i, j = min(pairs, key=lambda pair: (ways(pair), self._together(pair).distance))
-        return Conflict(0, (i, self._acts[i].activity), (j, self._acts[j].activity), self._together((i, j)))
+        a, b, near = self._acts[i], self._acts[j], self._pairs[i, j].nearest
+        standing: Literal["start", "end"] | None = None
+        if near(a.waiting, b.waiting, self._clearance).distance < self._clearance:
+            standing = "start"
+        elif near(a.ended, b.ended, self._clearance).distance < self._clearance:
+            standing = "end"
+        return Conflict(0, (i, a.activity), (j, b.activity), self._together((i, j)), standing)
 
     def _together(self, pair: tuple[int, int]) -> Encounter:
         return self._encounters(*pair, -1)[0][1]
