@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import BSpline
 
-from climber.manifold import Chart, Manifold
+from climber.manifold import AnyChart, Manifold
 from climber.stance import Vector
 
 DEGREE = 5  # accelerations change smoothly, not only continuously
@@ -52,7 +52,7 @@ class Curve:
         degree: Degree of the B-spline.
     """
 
-    chart: Chart
+    chart: AnyChart
     control: Vector
     degree: int = DEGREE
 
@@ -102,7 +102,7 @@ class Curve:
         return joint_length(self.q(np.linspace(0.0, 1.0, 513)))
 
 
-def polyline_lengths(chart: Chart, u: Vector) -> Vector:
+def polyline_lengths(chart: AnyChart, u: Vector) -> Vector:
     """Joint-space length of each segment of the polyline `u`, shape (M, num_coordinates); shape (M - 1,)."""
     pieces = max(64, -(-512 // (len(u) - 1)))
     part = np.linspace(0.0, 1.0, pieces + 1)[:, None]
@@ -112,7 +112,7 @@ def polyline_lengths(chart: Chart, u: Vector) -> Vector:
     return result
 
 
-def rounded(chart: Chart, u: Vector, num_control: int) -> Curve:
+def rounded(chart: AnyChart, u: Vector, num_control: int) -> Curve:
     """The polyline `u`, shape (M, num_coordinates), as a curve that rounds its corners.
 
     Schoenberg's variation-diminishing spline: control points on the polyline at the Greville abscissae. It meets both
@@ -128,7 +128,7 @@ def rounded(chart: Chart, u: Vector, num_control: int) -> Curve:
 
 
 def smooth(
-    manifold: Manifold, chart: Chart, u: Vector, num_control: int = 12, most: int = 384, resolution: float = RESOLUTION
+    manifold: Manifold, chart: AnyChart, u: Vector, num_control: int = 12, most: int = 384, resolution: float = RESOLUTION
 ) -> Curve | None:
     """The feasible polyline `u` as a feasible curve near it, no longer than it.
 

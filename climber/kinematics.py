@@ -85,13 +85,13 @@ class LimbChain:
             poses.append(pose)
         return poses
 
-    def foot_position(self, links: list[Pose]) -> Vector:
-        """The foot in W [m], shape (K, 3)."""
-        return links[-1].point(self.foot)
+    def foot_position(self, pelvis: Pose, links: list[Pose]) -> Vector:
+        """The foot in W [m], shape (K, 3); without joints it is fixed to the pelvis."""
+        return (links[-1] if links else pelvis).point(self.foot)
 
     def moment(self, links: list[Pose]) -> Vector:
         """Sum over the links of mass times centre of mass in W [kg m], shape (K, 3)."""
-        total: Vector = np.zeros_like(links[0].origin)
+        total: Vector = np.zeros_like(links[0].origin) if links else np.zeros((1, 3))
         for pose, mass, center in zip(links, self.masses, self.centers, strict=True):
             total = total + mass * pose.point(center)
         return total
@@ -199,7 +199,7 @@ class Kinematics:
         pelvis = self.pelvis(q[:, self.robot.base_q])
         return np.stack(
             [
-                chain.foot_position(chain.links(pelvis, q[:, limb.q]))
+                chain.foot_position(pelvis, chain.links(pelvis, q[:, limb.q]))
                 for limb, chain in zip(self.robot.limbs, self.chains, strict=True)
             ],
             axis=1,
@@ -216,7 +216,7 @@ class Kinematics:
         for row, i in enumerate(limbs):
             limb, chain = robot.limbs[i], self.chains[i]
             links = chain.links(pelvis, q[:, limb.q])
-            foot = chain.foot_position(links)
+            foot = chain.foot_position(pelvis, links)
             result[:, row, 0, robot.base_v[0]] = result[:, row, 1, robot.base_v[1]] = 1.0
             for pose, axis, column in [
                 (pelvis, np.array([0.0, 0.0, 1.0]), robot.base_v[2]),

@@ -6,12 +6,14 @@ such a parameterisation. Its configurations keep the contacts to machine precisi
 
 Where a holding limb is straight its two branches meet and the pelvis's pose is no smooth coordinate any more. A chart
 *rooted* at that limb takes the limb's own joints instead, and the pelvis's position follows from them; a path
-crosses from one branch to the other in it without noticing.
+crosses from one branch to the other in it without noticing. The limb at the root needs no inverse kinematics, so a limb
+that has none (with fewer than two joints) can be there. Where two such limbs hold, charts come from Newton's method
+(`climber.newton`), and they are local.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,8 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from climber.clearance import Clearance
+from climber.dynamics import turning
 from climber.inverse import TwoLinkInverse
 from climber.kinematics import Kinematics, Pose
+from climber.newton import NewtonChart
 from climber.robot import Indices, Robot
 from climber.stance import Contact, Vector
 from climber.wall import Wall
@@ -44,19 +48,39 @@ class Margins:
 
 
 class Body:
-    """A robot's batched kinematics, inverse kinematics and clearance on one wall."""
+    """A robot's batched kinematics, inverse kinematics and clearance on one wall.
+
+    Attributes:
+        robot: The robot.
+        wall: The wall.
+        kinematics: Its kinematics.
+        clearance: Its clearance.
+        inverse: The inverse kinematics of each limb; None for a limb with fewer than two joints, which has none.
+    """
 
     def __init__(self, robot: Robot, wall: Wall) -> None:
         self.robot, self.wall = robot, wall
         self.kinematics = Kinematics(robot)
         self.clearance = Clearance(self.kinematics, wall.obstacles)
         self.inverse = tuple(
-            TwoLinkInverse(limb, chain) for limb, chain in zip(robot.limbs, self.kinematics.chains, strict=True)
+            TwoLinkInverse(limb, chain) if len(limb.q) > 1 else None
+            for limb, chain in zip(robot.limbs, self.kinematics.chains, strict=True)
         )
 
     def branches(self, q: Vector) -> tuple[int, ...]:
-        """The branch of every limb at the configuration `q`, shape (nq,)."""
-        return tuple(inverse.branch(q[limb.q]) for inverse, limb in zip(self.inverse, self.robot.limbs, strict=True))
+        """The branch of every limb at the configuration `q`, shape (nq,).
+
+        Without inverse kinematics it says which way the limb's joint is turned from zero, which tells the two postures
+        of a closed chain of two links apart; a limb without joints has but one.
+        """
+        return tuple(
+            int(np.sin(q[limb.q]).min(initial=0.0) < 0) if inverse is None else inverse.branch(q[limb.q])
+            for inverse, limb in zip(self.inverse, self.robot.limbs, strict=True)
+        )
+
+    def without_inverse(self, limbs: Iterable[int]) -> tuple[int, ...]:
+        """Those of some limbs that have no inverse kinematics, in limb order."""
+        return tuple(i for i in sorted(limbs) if self.inverse[i] is None)
 
 
 class Chart:
@@ -67,23 +91,93 @@ class Chart:
         points: Where each holding limb's foot stands in W [m], by limb.
         branches: The branch of each limb; that of a limb in the air or at the root means nothing.
         root: The holding limb whose joints stand in for the pelvis's position, or None.
-        independent: Places of the coordinates `u` in the plant's positions.
+        solved: The holding limbs whose joints follow by inverse kinematics.
+        independent: Places in the plant's positions of those that the coordinates `u` give, one for each.
     """
 
     def __init__(
         self, body: Body, points: Mapping[int, Vector], branches: Sequence[int], root: int | None = None
     ) -> None:
         self.body, self.points, self.branches, self.root = body, dict(points), tuple(branches), root
+        self.solved = tuple(i for i in self.points if i != root)
+        if lacking := body.without_inverse(self.solved):
+            raise ValueError(f"limb {lacking[0]} holds and has no inverse kinematics; it must be the chart's root")
         places: list[int] = list(body.robot.base_q if root is None else body.robot.base_q[2:])
         for i, (limb, inverse) in enumerate(zip(body.robot.limbs, body.inverse, strict=True)):
-            free = len(limb.q) if i == root or i not in self.points else inverse.leading
-            places += list(limb.q[:free])
+            leading = 0 if inverse is None else inverse.leading
+            places += list(limb.q[: leading if i in self.solved else len(limb.q)])
         self.independent = np.array(places, dtype=np.int64)
 
     @cached_property
     def dependent(self) -> Indices:
         """Places in the plant's positions of what follows from `u`."""
         return np.setdiff1d(np.arange(self.body.robot.plant.num_positions()), self.independent)
+
+    @cached_property
+    def free(self) -> Vector:
+        """Directions of the coordinates, shape (nq, num_coordinates)."""
+        identity = np.eye(self.body.robot.plant.num_positions())
+        result: Vector = identity[:, self.independent] @ self._from_coordinates
+        return result
+
+    @cached_property
+    def _hanging(self) -> bool:
+        """Whether no limb but the one at the root holds."""
+        return tuple(self.points) == (self.root,)
+
+    @cached_property
+    def _to_coordinates(self) -> Vector:
+        """From the independent positions to the coordinates, shape (num_coordinates, num_coordinates).
+
+        They are the same, unless the robot hangs from the limb at the root. Then the angle of that limb's last link
+        takes the place of the pelvis's, so that joints can bend as far as they go while it turns little.
+        """
+        result = np.eye(len(self.independent))
+        if self._hanging:
+            assert self.root is not None
+            turning_rate = turning(self.body.robot, [self.root])[0]
+            # A planar robot's velocities are the rates of its positions.
+            result[self._angle] = turning_rate[self.independent]
+        return result
+
+    @cached_property
+    def _from_coordinates(self) -> Vector:
+        return np.linalg.inv(self._to_coordinates)
+
+    @cached_property
+    def tied(self) -> Vector:
+        """Directions of what follows from them, columns of the identity, shape (nq, nq - num_coordinates)."""
+        return np.eye(self.body.robot.plant.num_positions())[:, self.dependent]
+
+    @cached_property
+    def _angle(self) -> int:
+        """Place of the pelvis's angle among the coordinates."""
+        return int(np.flatnonzero(self.independent == self.body.robot.base_q[2])[0])
+
+    def bounds(self, a: Vector, b: Vector) -> tuple[Vector, Vector]:
+        """Where to look for a path between two points: around both, and no farther than joint limits.
+
+        A robot that hangs from one limb may turn all the way round.
+        """
+        lower, upper = np.minimum(a, b) - 0.9 / self.scale, np.maximum(a, b) + 0.9 / self.scale
+        hanging = self._hanging
+        if hanging:
+            lower[self._angle], upper[self._angle] = a[self._angle] - 1.5 * np.pi, a[self._angle] + 1.5 * np.pi
+        for limb in self.body.robot.limbs:
+            for place, low, high in zip(limb.q, *limb.one_turn, strict=True):
+                at = np.flatnonzero(self.independent == place)
+                lower[at] = low if hanging else np.maximum(lower[at], low)
+                upper[at] = high if hanging else np.minimum(upper[at], high)
+        return lower, upper
+
+    def turns(self, u: Vector) -> list[Vector]:
+        """The points that are the same posture as `u`, that is itself, but for a robot that hangs from one limb.
+
+        That one may come to the posture by turning round either way.
+        """
+        turn = np.zeros(len(u))
+        turn[self._angle] = 2 * np.pi
+        return [u, u + turn, u - turn] if self._hanging else [u]
 
     @cached_property
     def scale(self) -> Vector:
@@ -95,7 +189,7 @@ class Chart:
 
     def coordinates(self, q: Vector) -> Vector:
         """The coordinates of configurations on this chart, shape (..., nq) to (..., num_coordinates)."""
-        result: Vector = q[..., self.independent]
+        result: Vector = q[..., self.independent] @ self._to_coordinates.T
         return result
 
     def expand(self, u: Vector) -> tuple[Vector, Vector]:
@@ -107,22 +201,24 @@ class Chart:
         """
         robot = self.body.robot
         q = np.zeros((len(u), robot.plant.num_positions()))
-        q[:, self.independent] = u
+        q[:, self.independent] = u @ self._from_coordinates.T
         if self.root is not None:
             turned = self.body.kinematics.pelvis(q[:, robot.base_q])
             chain = self.body.kinematics.chains[self.root]
-            foot = chain.foot_position(chain.links(turned, q[:, robot.limbs[self.root].q]))
+            foot = chain.foot_position(turned, chain.links(turned, q[:, robot.limbs[self.root].q]))
             q[:, robot.base_q[:2]] = (self.points[self.root] - foot)[:, :2]
         pelvis = self.body.kinematics.pelvis(q[:, robot.base_q])
         slack = np.full(len(u), np.inf)
-        for i, point in self.points.items():
-            if i == self.root:
-                continue
+        for i in self.solved:
             limb, inverse = robot.limbs[i], self.body.inverse[i]
-            solved, within = inverse.solve(pelvis, q[:, limb.q[: inverse.leading]], point)
+            assert inverse is not None  # a chart without is not made
+            solved, within = inverse.solve(pelvis, q[:, limb.q[: inverse.leading]], self.points[i])
             q[:, limb.q] = solved[:, self.branches[i]]
             slack = np.minimum(slack, within)
         return q, slack
+
+
+AnyChart = Chart | NewtonChart
 
 
 class Manifold:
@@ -149,9 +245,31 @@ class Manifold:
         margin = min(self.margins.balance, 0.2 * (upper - lower))
         return lower + margin, upper - margin
 
-    def chart(self, q: Vector, root: int | None = None) -> Chart:
-        """The chart around the configuration `q`, shape (nq,)."""
-        return Chart(self.body, self.points, self.body.branches(q), root)
+    @cached_property
+    def global_charts(self) -> bool:
+        """Whether charts are closed forms that reach as far as limbs do, rather than Newton's."""
+        return len(self.body.without_inverse(self.points)) < 2
+
+    @cached_property
+    def rigid(self) -> bool:
+        """Whether the contacts leave no freedom, but at singular configurations: postures are isolated points."""
+        return self.body.robot.plant.num_positions() <= 2 * len(self.points)
+
+    def chart(self, q: Vector, root: int | None = None) -> AnyChart:
+        """The chart around the configuration `q`, shape (nq,).
+
+        Args:
+            q: The configuration; it keeps the contacts.
+            root: The holding limb to root the chart at, or None for where it must be, if anywhere.
+        """
+        lacking, branches = self.body.without_inverse(self.points), self.body.branches(q)
+        if len(lacking) > 1:
+            return self.newton_chart(q)
+        return Chart(self.body, self.points, branches, lacking[0] if lacking else root)
+
+    def newton_chart(self, q: Vector) -> NewtonChart:
+        """The local chart around the configuration `q`, shape (nq,), that Newton's method makes for any robot."""
+        return NewtonChart(self.body, self.points, self.body.branches(q), q)
 
     def slack(self, q: Vector) -> Vector:
         """By how much configurations on the contacts are feasible beyond the margins, shape (K,); negative if not.
@@ -171,7 +289,7 @@ class Manifold:
             result[good] = np.minimum(result[good], self.body.clearance(chosen) - self.margins.clearance)
         return result
 
-    def feasible(self, chart: Chart, u: Vector) -> NDArray[np.bool_]:
+    def feasible(self, chart: AnyChart, u: Vector) -> NDArray[np.bool_]:
         """Which chart coordinates `u`, shape (K, num_coordinates), are feasible; shape (K,), bool."""
         q, reach = chart.expand(u)
         good = reach >= self.margins.reach

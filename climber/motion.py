@@ -27,7 +27,7 @@ from climber.programs.torque import phase_torques, static_feasible
 from climber.programs.trajectory import refine
 from climber.stance import Contact, Move, Vector
 from climber.timing import PEAK, PacedPath, Samples, joined
-from climber.transition import Failure, Postures, PostureSampler, between, find_transition, support_interval
+from climber.transition import Failure, Postures, between, find_transition, posture_sampler, support_interval
 
 Stage = Literal["transition", "motion", "torque"]
 
@@ -206,7 +206,7 @@ class MotionPlanner:
         manifold = self.manifold(contacts)
         if manifold is None:
             return replace(empty, failure=Failure("proved", "no forces of all limbs balance gravity"))
-        sampler = PostureSampler(self.body, manifold)
+        sampler = posture_sampler(self.body, manifold)
         if sampler.unreachable():
             return replace(empty, failure=Failure("proved", "at no angle of the pelvis do all limbs reach their holds"))
         for count in self.budget.rounds:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from climber.atlas import atlas_path
 from climber.manifold import Manifold
 from climber.roadmap import Roadmap
 from climber.rrt import Leg as Leg
@@ -45,6 +46,8 @@ def find_path(
     """
     search = search or Search()
     b = unwound(b, a, int(manifold.body.robot.base_q[2]))
+    if manifold.body.without_inverse(manifold.points):
+        return _without_inverse(manifold, a, b, rng, search)
     turning = flips(manifold, a, b)
     if len(turning) <= 1:
         chart = manifold.chart(a, turning[0] if turning else None)
@@ -52,6 +55,18 @@ def find_path(
         if u is not None:
             return [shortened(manifold, Leg(chart, u), rng, search)]
     return (roadmap or Roadmap(manifold, rng, search)).path(a, b)
+
+
+def _without_inverse(
+    manifold: Manifold, a: Vector, b: Vector, rng: np.random.Generator, search: Search
+) -> list[Leg] | None:
+    """A path where some holding limb has no inverse kinematics: in the chart rooted at it, or in an atlas."""
+    alike = all(manifold.body.inverse[i] is None for i in flips(manifold, a, b))
+    if not (manifold.global_charts and alike):
+        return atlas_path(manifold, a, b, rng, search)
+    chart = manifold.chart(a)
+    u = connect(manifold, chart, chart.coordinates(a), chart.coordinates(b), rng, search)
+    return None if u is None else [shortened(manifold, Leg(chart, u), rng, search)]
 
 
 def flips(manifold: Manifold, a: Vector, b: Vector) -> tuple[int, ...]:

@@ -29,7 +29,7 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Limb:
-    """A serial chain of revolute joints from the pelvis to a point foot.
+    """A serial chain of revolute joints from the pelvis to a point foot; of none, if the foot is fixed to the pelvis.
 
     Attributes:
         name: The limb's name, as scenarios use it.
@@ -41,7 +41,7 @@ class Limb:
         upper: Upper position limits [rad], shape (num_joints,).
         velocity: Velocity limits, the same in both directions [rad/s], shape (num_joints,).
         effort: Effort limits [N m], zero for joints without a motor, shape (num_joints,).
-        hip: Where the first joint is in the pelvis's frame [m], shape (3,).
+        hip: Where the first joint, or the foot of a limb without joints, is in the pelvis's frame [m], shape (3,).
         reach: Farthest that the foot can be from the pelvis's origin [m].
     """
 
@@ -175,8 +175,6 @@ class Robot:
             ]
             raise self.model.unknown(f"limbs[{number}].foot", foot, "frame", frames)
         joints = [joint for joint in self.chain(foot) if joint.num_positions()]
-        if not joints:
-            raise self.model.error(f"limbs[{number}].foot", foot, "a frame with a joint between it and the pelvis")
         for joint in joints:
             if not isinstance(joint, RevoluteJoint):
                 raise ModelError(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from climber.manifold import Chart, Manifold
+from climber.manifold import AnyChart, Manifold
 from climber.stance import Vector
 
 ROUNDS = 3  # how often points are put in between configurations that are far apart
@@ -21,7 +21,7 @@ class Leg:
         u: Corners in its coordinates, shape (M, num_coordinates), M >= 2.
     """
 
-    chart: Chart
+    chart: AnyChart
     u: Vector
 
 
@@ -55,7 +55,7 @@ def unwound(q: Vector, reference: Vector, angle: int) -> Vector:
     return result
 
 
-def line(chart: Chart, a: Vector, b: Vector, step: float) -> Vector:
+def line(chart: AnyChart, a: Vector, b: Vector, step: float) -> Vector:
     """Points from `a` (left out) to `b` in chart coordinates, no farther apart than `step` when scaled."""
     count = max(1, int(np.ceil(np.linalg.norm((b - a) * chart.scale) / step)))
     result: Vector = a + (b - a) * (np.arange(1, count + 1) / count)[:, None]
@@ -63,7 +63,7 @@ def line(chart: Chart, a: Vector, b: Vector, step: float) -> Vector:
 
 
 def advance(
-    manifold: Manifold, chart: Chart, a: Vector, b: Vector, search: Search, whole: bool = False
+    manifold: Manifold, chart: AnyChart, a: Vector, b: Vector, search: Search, whole: bool = False
 ) -> tuple[Vector, bool]:
     """Goes along the straight line from a feasible chart point as far as it is feasible.
 
@@ -109,20 +109,21 @@ def advance(
     return u, arrives
 
 
-def clear(manifold: Manifold, chart: Chart, a: Vector, b: Vector, search: Search | None = None) -> bool:
+def clear(manifold: Manifold, chart: AnyChart, a: Vector, b: Vector, search: Search | None = None) -> bool:
     """Whether the straight line between two feasible chart points is feasible at every checked point."""
     return advance(manifold, chart, a, b, search or Search(), whole=True)[1]
 
 
 class _Tree:
-    """A tree of chart points, grown towards targets."""
+    """A tree of chart points, or one from each of several roots, grown towards targets."""
 
-    def __init__(self, root: Vector, capacity: int) -> None:
-        self.u = np.empty((capacity, len(root)))
-        self.parent = np.zeros(capacity, dtype=np.int64)
-        self.u[0], self.parent[0], self.size = root, -1, 1
+    def __init__(self, roots: list[Vector], capacity: int) -> None:
+        self.size = len(roots)
+        self.u = np.empty((capacity + self.size, len(roots[0])))
+        self.u[: self.size] = roots
+        self.parent = np.full(len(self.u), -1, dtype=np.int64)
 
-    def grow(self, manifold: Manifold, chart: Chart, target: Vector, search: Search) -> tuple[int, bool]:
+    def grow(self, manifold: Manifold, chart: AnyChart, target: Vector, search: Search) -> tuple[int, bool]:
         """Grows from the nearest node as far towards `target` as is feasible: the new node (-1: none), and arrival."""
         distances = np.linalg.norm((self.u[: self.size] - target) * chart.scale, axis=1)
         near = int(distances.argmin())
@@ -136,7 +137,7 @@ class _Tree:
         return self.size - 1, arrived and limited == 1.0
 
     def branch(self, node: int) -> list[Vector]:
-        """Points from the root to `node`."""
+        """Points from `node`'s root to it."""
         chain = []
         while node >= 0:
             chain.append(self.u[node])
@@ -144,24 +145,19 @@ class _Tree:
         return chain[::-1]
 
 
-def _box(chart: Chart, a: Vector, b: Vector) -> tuple[Vector, Vector]:
-    """Where to draw chart samples: around both ends, and no farther than joint limits."""
-    lower, upper = np.minimum(a, b) - 0.9 / chart.scale, np.maximum(a, b) + 0.9 / chart.scale
-    for limb in chart.body.robot.limbs:
-        for place, low, high in zip(limb.q, *limb.one_turn, strict=True):
-            at = np.flatnonzero(chart.independent == place)
-            lower[at], upper[at] = np.maximum(lower[at], low), np.minimum(upper[at], high)
-    return lower, upper
-
-
 def connect(
-    manifold: Manifold, chart: Chart, a: Vector, b: Vector, rng: np.random.Generator, search: Search
+    manifold: Manifold, chart: AnyChart, a: Vector, b: Vector, rng: np.random.Generator, search: Search
 ) -> Vector | None:
-    """RRT-Connect between two feasible points of one chart; corners of the path, or None."""
-    if clear(manifold, chart, a, b, search):
-        return np.array([a, b])
-    lower, upper = _box(chart, a, b)
-    here, there = _Tree(a, 2 * search.iterations + 2), _Tree(b, 2 * search.iterations + 2)
+    """RRT-Connect between two feasible points of one chart; corners of the path, or None.
+
+    The path may end at a point other than `b` that is the same posture, see `Chart.turns`.
+    """
+    ends = chart.turns(b)
+    for end in ends:
+        if clear(manifold, chart, a, end, search):
+            return np.array([a, end])
+    lower, upper = chart.bounds(a, b)
+    here, there = _Tree([a], 2 * search.iterations + 2), _Tree(ends, 2 * search.iterations + 2)
     for turn in range(search.iterations):
         node, _ = here.grow(manifold, chart, rng.uniform(lower, upper), search)
         arrived = False

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import maximum_filter1d
 
 from climber.curve import Curve
-from climber.manifold import Chart
+from climber.manifold import AnyChart
 from climber.stance import Vector
 
 PEAK = 1.875  # greatest rate of the minimum-jerk law, against the mean
@@ -38,31 +38,30 @@ class Samples:
     vd: Vector
 
 
-def _rates(chart: Chart, q: Vector, du: Vector, ddu: Vector | None = None) -> tuple[Vector, Vector | None]:
+def rates(chart: AnyChart, q: Vector, du: Vector, ddu: Vector | None = None) -> tuple[Vector, Vector | None]:
     """Velocities and accelerations of the whole robot from those of the chart's coordinates.
 
-    The contacts stay put: J_d v_d = -J_u du for the dependent coordinates, and J_d a_d = -J_u ddu - dJ/dt v.
+    With F and D the directions of the chart's coordinates and of what follows from them, v = F du + D y. The contacts
+    stay put, J v = 0, so that J D y = -J F du; and for accelerations F ddu + D z likewise J D z = -J F ddu - dJ/dt v.
     """
     body = chart.body
     limbs = sorted(chart.points)
-    free, tied = chart.independent, chart.dependent
+    free, tied = chart.free, chart.tied
 
     def jacobian(at: Vector) -> Vector:
         J = body.kinematics.foot_jacobians(at, limbs)
         return J.reshape(len(at), 2 * len(limbs), -1)
 
     J = jacobian(q)
-    v = np.zeros_like(q)
-    v[:, free] = du
-    v[:, tied] = -np.linalg.solve(J[:, :, tied], J[:, :, free] @ du[:, :, None])[:, :, 0]
+    along = du @ free.T
+    v = along - np.linalg.solve(J @ tied, J @ along[:, :, None])[:, :, 0] @ tied.T
     if ddu is None:
         return v, None
     # Central difference of J along the motion, exact enough (1e-9 of its size) and the same for every robot.
     h = 1e-5
     drift = ((jacobian(q + h * v) - jacobian(q - h * v)) @ v[:, :, None])[:, :, 0] / (2 * h)
-    vd = np.zeros_like(q)
-    vd[:, free] = ddu
-    vd[:, tied] = -np.linalg.solve(J[:, :, tied], J[:, :, free] @ ddu[:, :, None] + drift[:, :, None])[:, :, 0]
+    along = ddu @ free.T
+    vd = along - np.linalg.solve(J @ tied, J @ along[:, :, None] + drift[:, :, None])[:, :, 0] @ tied.T
     return v, vd
 
 
@@ -85,7 +84,7 @@ class PacedPath:
         chart = curve.chart
         s = np.linspace(0.0, 1.0, self.FINER * (self.GRID - 1) + 1)
         q, _ = chart.expand(curve.u(s))
-        dq, _ = _rates(chart, q, curve.du(s))
+        dq, _ = rates(chart, q, curve.du(s))
         limits = np.full(q.shape[1], 1.0)
         for limb in chart.body.robot.limbs:
             limits[limb.v] = limb.velocity
@@ -121,7 +120,7 @@ class PacedPath:
         ds, dds = first * rate, second * rate**2 + first * acceleration
         du, ddu = self._curve.du(s), self._curve.ddu(s)
         q, _ = self.chart.expand(self._curve.u(s))
-        v, vd = _rates(self.chart, q, du * ds[:, None], ddu * ds[:, None] ** 2 + du * dds[:, None])
+        v, vd = rates(self.chart, q, du * ds[:, None], ddu * ds[:, None] ** 2 + du * dds[:, None])
         assert vd is not None
         return q, v, vd
 

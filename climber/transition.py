@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from climber.kinematics import Pose
 from climber.manifold import Body, Manifold, Margins
+from climber.newton_sampler import NewtonSampler
 from climber.programs.support import contact_intervals
 from climber.stance import Contact, Posture, Vector
 
@@ -119,7 +120,9 @@ class PostureSampler:
         self._hips = np.array([chain.steps[0].origin[:2] for chain in chains])
         self._lengths = np.array([limb.reach for limb in body.robot.limbs] - np.linalg.norm(self._hips, axis=1))
         self._holding = np.array(sorted(manifold.points))
-        counts = [inverse.branches if i in manifold.points else 1 for i, inverse in enumerate(body.inverse)]
+        self._inverse = [inverse for inverse in body.inverse if inverse is not None]
+        assert len(self._inverse) == len(body.inverse)  # `posture_sampler` sees to it
+        counts = [inverse.branches if i in manifold.points else 1 for i, inverse in enumerate(self._inverse)]
         self._combinations = np.array(list(itertools.product(*(range(count) for count in counts))))
 
     @cached_property
@@ -172,7 +175,7 @@ class PostureSampler:
             keep &= np.linalg.norm(gap, axis=1) <= self._lengths[i] - self.manifold.margins.reach
         base, pelvis = base[keep], Pose(pelvis.rotation[keep], pelvis.origin[keep])
         angles, fits, moments = [], [], []
-        for i, (limb, inverse, chain) in enumerate(zip(robot.limbs, body.inverse, body.kinematics.chains, strict=True)):
+        for i, (limb, inverse, chain) in enumerate(zip(robot.limbs, self._inverse, body.kinematics.chains, strict=True)):
             free = inverse.leading if i in self.manifold.points else len(limb.q)
             lower, upper = limb.one_turn
             leading = rng.uniform(lower[:free], upper[:free], (len(base), free))
@@ -204,6 +207,12 @@ class PostureSampler:
         slack = self.manifold.slack(q) if len(q) else np.zeros(0)
         good = slack >= 0
         return q[good], branches[good], slack[good], reachable
+
+
+def posture_sampler(body: Body, manifold: Manifold) -> PostureSampler | NewtonSampler:
+    """What draws postures on a manifold: from pelvis poses if every limb has inverse kinematics, else by projection."""
+    every = range(len(body.robot.limbs))
+    return NewtonSampler(body, manifold) if body.without_inverse(every) else PostureSampler(body, manifold)
 
 
 def between(before: Manifold, after: Manifold) -> Manifold:
@@ -263,7 +272,7 @@ def find_transition(
     if both.support[0] > both.support[1]:
         reason = f"the support intervals with and without {name} share only {-gap:.4f} m, less than the margins ask"
         return Postures(ordered, *empty, Failure("budget", reason))
-    sampler = PostureSampler(body, both)
+    sampler = posture_sampler(body, both)
     if sampler.unreachable():
         reason = "at no angle of the pelvis do all limbs reach their holds"
         return Postures(ordered, *empty, Failure("proved", reason))

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from climber.clearance import segment_distance
 from climber.kinematics import Pose
-from climber.manifold import Chart, Manifold
+from climber.manifold import AnyChart, Manifold
 from climber.stance import Vector
 
+ANYWHERE = 1e6  # [m] stands for the end of an unbounded support interval
 STEP = 1e-6  # [m, rad] of the central differences; their error is about its square, a thousandfold near straight limbs
 
 
@@ -67,19 +68,25 @@ class Conditions:
             obstacles.
     """
 
-    def __init__(self, manifold: Manifold, chart: Chart) -> None:
+    def __init__(self, manifold: Manifold, chart: AnyChart) -> None:
         self.manifold, self.chart = manifold, chart
         body, clearance = manifold.body, manifold.body.clearance
         kinematics = body.kinematics
-        self._tied = [i for i in sorted(chart.points) if i != chart.root]
+        self._tied = sorted(chart.solved)
         # The link that carries the first joint that inverse kinematics solves for, and that joint's place in it.
         first = 1 + np.cumsum([0] + [len(chain.steps) for chain in kinematics.chains])
         self._carriers: list[tuple[int, Vector]] = []
+        extents = []
         for i in self._tied:
-            leading = body.inverse[i].leading
+            inverse = body.inverse[i]
+            assert inverse is not None  # as a chart solves for the limb
+            leading = inverse.leading
+            extents.append(inverse.extent)
             origin = kinematics.chains[i].steps[leading].origin
             self._carriers.append((int(first[i]) + leading - 1 if leading else 0, origin))
-        self._extent = np.array([body.inverse[i].extent for i in self._tied]).reshape(-1, 2)
+        self._extent = np.array(extents).reshape(-1, 2)
+        # Without weight the centre of mass may be anywhere; differences of infinities are no numbers.
+        self._balanced = tuple(np.clip(manifold.balanced, -ANYWHERE, ANYWHERE))
         self._targets = np.array([chart.points[i][:2] for i in self._tied]).reshape(-1, 2)
         pairs = [
             (a, b, k)
@@ -108,7 +115,7 @@ class Conditions:
         kinematics, margins = self.manifold.body.kinematics, self.manifold.margins
         joints = q[:, kinematics.joint_q]
         abscissa = kinematics.center_of_mass(q, poses)[:, :1]
-        lower, upper = self.manifold.balanced
+        lower, upper = self._balanced
         hips = [poses[link].point(origin)[:, :2] for link, origin in self._carriers]
         gap = np.linalg.norm(np.stack(hips, axis=1) - self._targets, axis=2) if hips else np.zeros((len(q), 0))
         return np.concatenate(

@@ -14,7 +14,7 @@ from pydrake.solvers import SnoptSolver, SolverOptions
 from scipy.interpolate import BSpline
 
 from climber.curve import DEGREE, Curve, clamped_knots, greville
-from climber.manifold import Chart, Manifold
+from climber.manifold import AnyChart, Manifold
 from climber.programs.posture import elbow_range
 from climber.stance import Vector
 
@@ -48,7 +48,7 @@ class KinematicTrajectoryProgram:
     def __init__(
         self,
         manifold: Manifold,
-        chart: Chart,
+        chart: AnyChart,
         ends: tuple[Vector, Vector],
         num_control: int = 12,
         samples: int = 10,

@@ -52,6 +52,7 @@ def elbow_range(body: Body, limb: int, branch: int, margin: float) -> tuple[floa
     and at the farthest allowed distance from the joint before gives both ends.
     """
     inverse, chain = body.inverse[limb], body.kinematics.chains[limb]
+    assert inverse is not None
     leading = np.zeros((1, inverse.leading))
     origin = Pose(np.eye(3)[None], np.zeros((1, 3)))
     parent = chain.links(origin, leading)[-1] if inverse.leading else origin
@@ -76,7 +77,7 @@ class PostureProgram:
               e_i_near <= e_i <= e_i_far        for each holding limb i                 (4)
               c_x_lower <= c_x(q) <= c_x_upper                                          (5)
 
-    (2) is Gönen 2021's closed-chain condition, for a planar robot in x and y only. (4) keeps a limb on its branch and
+    (2) is Gönen 2021's closed-chain condition, for a planar robot in x and y only. (4) keeps a limb that has inverse kinematics on its branch and
     within reach, away from where it is straight and joint rates grow without bound. (5) is the support interval.
     Links may touch each other or an obstacle in a solution: `improve_posture` rejects that.
 
@@ -113,6 +114,8 @@ class PostureProgram:
                 foot, np.zeros(3), world, point - unconstrained, point + unconstrained
             )
             contact.evaluator().set_description(f"foot of {limb.name} on its hold")
+            if body.inverse[i] is None:
+                continue
             near, far = elbow_range(body, i, branches[i], margins.reach)
             self.prog.AddBoundingBoxConstraint(near, far, self.q[limb.q[-1]]).evaluator().set_description(
                 f"bend of {limb.name}"
@@ -174,6 +177,8 @@ def improve_posture(
         A configuration of the same branches, feasible, with contacts kept to machine precision, and strictly nearer
         to the targets than the guess is; None if none was found.
     """
+    if manifold.rigid:
+        return None  # there is nothing to choose
     chart = manifold.chart(guess)
     program = program or PostureProgram(body, manifold, chart.branches)
     answer = program.solve(guess, targets).q

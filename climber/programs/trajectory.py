@@ -26,7 +26,7 @@ from scipy.interpolate import BSpline
 from scipy.sparse import csc_matrix
 
 from climber.curve import DEGREE, RESOLUTION, Curve, clamped_knots, polyline_lengths, rounded, smooth
-from climber.manifold import Chart, Manifold, Margins
+from climber.manifold import AnyChart, Manifold, Margins
 from climber.programs.conditions import Conditions
 from climber.stance import Vector
 
@@ -104,7 +104,7 @@ class ChartProgram:
     """
 
     def __init__(
-        self, manifold: Manifold, chart: Chart, num_control: int = NUM_CONTROL, smoothing: float = SMOOTHING
+        self, manifold: Manifold, chart: AnyChart, num_control: int = NUM_CONTROL, smoothing: float = SMOOTHING
     ) -> None:
         self.manifold, self.chart, self.num_control = manifold, chart, num_control
         self.conditions = Conditions(manifold, chart)
@@ -209,7 +209,7 @@ def _loosened(manifold: Manifold) -> Manifold:
     return Manifold(manifold.body, manifold.contacts, manifold.support, halves)
 
 
-def refine(manifold: Manifold, chart: Chart, u: Vector, smoothing: float = SMOOTHING) -> Curve | None:
+def refine(manifold: Manifold, chart: AnyChart, u: Vector, smoothing: float = SMOOTHING) -> Curve | None:
     """A short and smooth curve in place of a polyline.
 
     Args:
