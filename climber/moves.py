@@ -88,7 +88,7 @@ def reachable_pairs(
 ) -> tuple[Ints, Ints, Vector]:
     """Pairs of releases of the same support whose stances' disks all overlap together (4.7).
 
-    Both stances' own disks are known to overlap, and three by three decide (Helly); so only triples with the hold let
+    A robot of two limbs hangs from one of them meanwhile, and its pelvis swings round: there all pairs will do. Both stances' own disks are known to overlap, and three by three decide (Helly); so only triples with the hold let
     go, the hold taken and one that stays are new.
 
     Returns:
@@ -103,7 +103,9 @@ def reachable_pairs(
     found = []
     for a, b in later_partners(releases.support):
         apart = squared_distance(positions, moving[a], moving[b])
-        if equal:
+        if n == 2:
+            meet = np.ones(len(a), dtype=bool)
+        elif equal:
             meet = apart <= 4.0 * (radius + TOUCH) ** 2
             for i in range(n - 1):
                 meet &= triangle_fits(squares[a, i], squares[b, i], apart, radius)
