@@ -60,9 +60,7 @@ class _Tree:
         return chain[::-1]
 
 
-def atlas_path(
-    manifold: Manifold, a: Vector, b: Vector, rng: np.random.Generator, search: Search
-) -> list[Leg] | None:
+def atlas_path(manifold: Manifold, a: Vector, b: Vector, rng: np.random.Generator, search: Search) -> list[Leg] | None:
     """A feasible path between two feasible configurations, see `climber.path.find_path`."""
     chart = manifold.newton_chart(a)
     if np.abs(a - b).max() < SAME:
@@ -74,9 +72,7 @@ def atlas_path(
     return None if through is None else _legs(manifold, through, rng, search)
 
 
-def _search(
-    manifold: Manifold, a: Vector, b: Vector, rng: np.random.Generator, search: Search
-) -> list[Vector] | None:
+def _search(manifold: Manifold, a: Vector, b: Vector, rng: np.random.Generator, search: Search) -> list[Vector] | None:
     """Configurations from a to b, each in the chart of the one before or after it."""
     robot = manifold.body.robot
     scale = np.ones(len(a))

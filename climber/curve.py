@@ -128,7 +128,12 @@ def rounded(chart: AnyChart, u: Vector, num_control: int) -> Curve:
 
 
 def smooth(
-    manifold: Manifold, chart: AnyChart, u: Vector, num_control: int = 12, most: int = 384, resolution: float = RESOLUTION
+    manifold: Manifold,
+    chart: AnyChart,
+    u: Vector,
+    num_control: int = 12,
+    most: int = 384,
+    resolution: float = RESOLUTION,
 ) -> Curve | None:
     """The feasible polyline `u` as a feasible curve near it, no longer than it.
 

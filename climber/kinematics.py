@@ -225,7 +225,9 @@ class Kinematics:
                     for link, parent, step, v in zip(links, [pelvis, *links], chain.steps, limb.v, strict=False)
                 ),
             ]:
-                result[:, row, :, column] = np.cross(np.broadcast_to(axis, foot.shape), foot - pose.origin)[:, :2]
+                arm, axis = (foot - pose.origin).T, np.atleast_2d(axis).T
+                result[:, row, 0, column] = axis[1] * arm[2] - axis[2] * arm[1]
+                result[:, row, 1, column] = axis[2] * arm[0] - axis[0] * arm[2]
         return result
 
     def center_of_mass(self, q: Vector, poses: list[Pose] | None = None) -> Vector:

@@ -142,7 +142,7 @@ class Chart:
 
     @cached_property
     def _from_coordinates(self) -> Vector:
-        return np.linalg.inv(self._to_coordinates)
+        return np.asarray(np.linalg.inv(self._to_coordinates))
 
     @cached_property
     def tied(self) -> Vector:
@@ -253,7 +253,7 @@ class Manifold:
     @cached_property
     def rigid(self) -> bool:
         """Whether the contacts leave no freedom, but at singular configurations: postures are isolated points."""
-        return self.body.robot.plant.num_positions() <= 2 * len(self.points)
+        return int(self.body.robot.plant.num_positions()) <= 2 * len(self.points)
 
     def chart(self, q: Vector, root: int | None = None) -> AnyChart:
         """The chart around the configuration `q`, shape (nq,).

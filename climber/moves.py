@@ -88,8 +88,9 @@ def reachable_pairs(
 ) -> tuple[Ints, Ints, Vector]:
     """Pairs of releases of the same support whose stances' disks all overlap together (4.7).
 
-    A robot of two limbs hangs from one of them meanwhile, and its pelvis swings round: there all pairs will do. Both stances' own disks are known to overlap, and three by three decide (Helly); so only triples with the hold let
-    go, the hold taken and one that stays are new.
+    A robot of two limbs hangs from one of them meanwhile, and its pelvis swings round: there all pairs will do.
+    Otherwise both stances' own disks are known to overlap, and three by three decide (Helly); so only triples with the
+    hold let go, the hold taken and one that stays are new.
 
     Returns:
         Rows of `releases`, shape (N,) twice, sorted by support, and the distance from hold to hold [m], shape (N,).

@@ -63,12 +63,12 @@ class Closure:
         """How far the feet are from their contacts [m], x and y limb by limb, shape (K, 2 k)."""
         wanted = np.array([self.points[i][:2] for i in self.limbs]).reshape(-1, 2)
         feet = self.kinematics.feet(q)[:, list(self.limbs), :2]
-        return np.asarray((feet - wanted).reshape(len(q), -1))
+        return np.asarray((feet - wanted).reshape(len(q), 2 * len(self.limbs)))
 
     def jacobian(self, q: Vector) -> Vector:
         """Derivative of `gap` by the scaled configuration S q, shape (K, 2 k, nq)."""
         J = self.kinematics.foot_jacobians(q, self.limbs)
-        result: Vector = J.reshape(len(q), 2 * len(self.limbs), -1) / self.scale
+        result: Vector = J.reshape(len(q), 2 * len(self.limbs), len(self.scale)) / self.scale
         return result
 
     def project(self, q: Vector, iterations: int = 30) -> tuple[Vector, NDArray[np.bool_]]:

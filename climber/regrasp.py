@@ -1,8 +1,8 @@
 """Moves in which a limb lets go of its hold and takes it again, to stand there in another posture.
 
-A stance whose contacts leave the robot no freedom may have several postures (Bretl's double link: the joint bent one way
-or the other), and no shift leads from one to another. Letting go and hanging from the other limbs meanwhile may. Where
-contacts leave freedom, such moves are of little use, and the stance graph is without them.
+A stance whose contacts leave the robot no freedom may have several postures (Bretl's double link: the joint bent one
+way or the other), and no shift leads from one to another. Letting go and hanging from the other limbs meanwhile may.
+Where contacts leave freedom, such moves are of little use, and the stance graph is without them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from climber.programs.support import hold_set_intervals
 
 def rigid(body: Body) -> bool:
     """Whether contacts of all limbs leave the robot no freedom, but at singular postures."""
-    return body.robot.plant.num_positions() <= 2 * len(body.robot.limbs)
+    return int(body.robot.plant.num_positions()) <= 2 * len(body.robot.limbs)
 
 
 def with_regrasps(graph: StanceGraph, body: Body, weights: Weights) -> StanceGraph:

@@ -139,7 +139,7 @@ class Roadmap:
             leg = self._known[_edge(pair)]
             u = leg.u if pair[0] < pair[1] else leg.u[::-1]
             # The pelvis may have turned round since.
-            turned = np.where(leg.chart.independent == self._angle, 1.0, 0.0)
+            turned = leg.chart.free[self._angle]
             first = leg.chart.expand(u[:1])[0][0]
             leg = Leg(leg.chart, u + (unwound(first, q, self._angle) - first)[self._angle] * turned)
             q = leg.chart.expand(leg.u[-1:])[0][0]

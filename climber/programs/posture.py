@@ -77,8 +77,9 @@ class PostureProgram:
               e_i_near <= e_i <= e_i_far        for each holding limb i                 (4)
               c_x_lower <= c_x(q) <= c_x_upper                                          (5)
 
-    (2) is Gönen 2021's closed-chain condition, for a planar robot in x and y only. (4) keeps a limb that has inverse kinematics on its branch and
-    within reach, away from where it is straight and joint rates grow without bound. (5) is the support interval.
+    (2) is Gönen 2021's closed-chain condition, for a planar robot in x and y only. (4) keeps a limb on its branch and
+    within reach, away from where it is straight and joint rates grow without bound; a limb without inverse kinematics
+    has neither. (5) is the support interval.
     Links may touch each other or an obstacle in a solution: `improve_posture` rejects that.
 
     The program owns the context it evaluates kinematics in; do not share one between threads.
