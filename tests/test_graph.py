@@ -136,7 +136,8 @@ class Enumeration:
         return ends[0], ends[1]
 
     def _costs(self, tail: Stance, limb: int, head: Stance) -> tuple[float, float, float] | None:
-        if self._overlap((*tail.holds, head.holds[limb]), (*range(self.n), limb)) == 0:
+        # On one limb the robot swings round; on more its body stays within reach of both stances' holds.
+        if self.n > 2 and self._overlap((*tail.holds, head.holds[limb]), (*range(self.n), limb)) == 0:
             return None
         stay = [i for i in range(self.n) if i != limb]
         held = [tail.holds[i] for i in stay]

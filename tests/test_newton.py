@@ -6,8 +6,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from robots import body as body_of
-from robots import configurations
 
 from climber.atlas import atlas_path
 from climber.curve import rounded
@@ -33,7 +31,7 @@ ANYWHERE = (-np.inf, np.inf)
 @cache
 def quadruped() -> Manifold:
     """The quadruped with all feet on a square of pins, no closed form left out."""
-    robot = body_of("quadruped").robot
+    robot = Robot("package://climber/quadruped/quadruped.urdf")
     wall = Wall(tuple(Hold((x, y, 0.0), (0.0, 1.0, 0.0), 0.6, grip="pin") for x, y in HOLDS))
     order = np.argsort([np.arctan2(*limb.hip[1::-1]) for limb in robot.limbs])
     contacts = [Contact(int(limb), hold) for hold, limb in enumerate(order)]
@@ -113,7 +111,7 @@ def test_projection_moves_no_farther_than_to_a_known_configuration_nearby() -> N
 def test_jacobian_of_the_gap_is_its_derivative() -> None:
     manifold = quadruped()
     closure = Closure(manifold.body.kinematics, manifold.points)
-    q = configurations("quadruped", np.random.default_rng(3), 5)
+    q = np.random.default_rng(3).uniform(-2.0, 2.0, (5, len(closure.scale)))
     J = closure.jacobian(q)
     for i, weight in enumerate(closure.scale):
         step = 1e-6 * np.eye(q.shape[1])[i] / weight
@@ -281,7 +279,7 @@ def test_a_hanging_robot_may_turn_all_the_way_round() -> None:
 def test_double_link_has_a_limb_without_joints_and_one_with_a_single_joint() -> None:
     robot = double_link().robot
     assert [len(limb.q) for limb in robot.limbs] == [0, 1]
-    assert double_link().inverse == (None, None) and rigid(double_link()) and not rigid(body_of("quadruped"))
+    assert double_link().inverse == (None, None) and rigid(double_link()) and not rigid(quadruped().body)
 
 
 def test_kinematics_of_limbs_without_joints_agree_with_the_plant() -> None:
