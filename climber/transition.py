@@ -175,7 +175,8 @@ class PostureSampler:
             keep &= np.linalg.norm(gap, axis=1) <= self._lengths[i] - self.manifold.margins.reach
         base, pelvis = base[keep], Pose(pelvis.rotation[keep], pelvis.origin[keep])
         angles, fits, moments = [], [], []
-        for i, (limb, inverse, chain) in enumerate(zip(robot.limbs, self._inverse, body.kinematics.chains, strict=True)):
+        limbs = zip(robot.limbs, self._inverse, body.kinematics.chains, strict=True)
+        for i, (limb, inverse, chain) in enumerate(limbs):
             free = inverse.leading if i in self.manifold.points else len(limb.q)
             lower, upper = limb.one_turn
             leading = rng.uniform(lower[:free], upper[:free], (len(base), free))

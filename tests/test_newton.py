@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from functools import cache
 
 import numpy as np
@@ -225,7 +226,7 @@ def fine(manifold: Manifold, legs: list, a: Vector, b: Vector) -> None:  # type:
         u = rounded(leg.chart, leg.u[:2], 6).u(np.linspace(0.0, 1.0, 1000)) if len(leg.u) == 2 else leg.u
         if len(leg.u) > 2:
             part = np.linspace(0.0, 1.0, 300)[:, None]
-            u = np.concatenate([p + part * (r - p) for p, r in zip(leg.u[:-1], leg.u[1:], strict=True)])
+            u = np.concatenate([p + part * (r - p) for p, r in itertools.pairwise(leg.u)])
         at, reach = leg.chart.expand(u)
         assert np.abs(at[0] - q).max() < 1e-6
         q = at[-1]
@@ -321,7 +322,7 @@ def test_the_climb_that_comes_back_has_all_its_motions() -> None:
     assert hanging_from == [1, 2, 1]  # hold 1, Bretl's 2, is visited twice
     joint = [phase.samples.q[0, 3] for phase in outcome if phase.limb is None]
     assert joint[1] * joint[2] < 0.0  # at the stance taken twice the joint is bent one way, then the other
-    for before, after in zip(outcome[:-1], outcome[1:], strict=True):
+    for before, after in itertools.pairwise(outcome):
         assert np.abs(before.samples.q[-1] - after.samples.q[0]).max() < 1e-9
 
 
