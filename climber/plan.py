@@ -27,6 +27,7 @@ from climber.graph import StanceGraph, build_stance_graph
 from climber.manifold import Body
 from climber.motion import MotionBudget, MotionPlanner, MoveFailure, PhaseMotion
 from climber.plan_file import Cut, Phase, PhaseContact, Plan, RobotPlan
+from climber.prune import impossible_moves
 from climber.robot import Model, Robot
 from climber.scenario import Scenario, check_against_robot
 from climber.stance import Move, Stance
@@ -151,6 +152,7 @@ class _ClimbSearch:
         stance = None if goal.stance is None else Stance(tuple(goal.stance[name] for name in self.robot.limb_names))
         goals = graph.goal_vertices(holds=goal.holds, stance=stance, region=self.region)
         tasks = TaskPlanner(graph.num_vertices, graph.tail, graph.head, graph.cost, graph.start, goals.tolist())
+        tasks.cut(impossible_moves(graph, self.robot, self.body.wall))
         if self.spec.avoid.holds:
             avoided = np.isin(graph.stances[graph.head], self.spec.avoid.holds).any(axis=1)
             tasks.cut(np.flatnonzero(avoided))

@@ -1,0 +1,170 @@
+"""A random wall with a climb to look for: from a stance near its bottom to a place near its top.
+
+That the start can be held, that the goal has a posture of its own, and that the stance graph leads from one to the
+other is checked. Whether the motions exist is for the planner to find out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from climber.exceptions import ClimberError
+from climber.graph import StanceGraph, build_stance_graph
+from climber.layers import FAR, Layers
+from climber.manifold import Body
+from climber.motion import MotionPlanner
+from climber.poses import Rotations, find_poses
+from climber.programs.support import hold_set_intervals
+from climber.prune import impossible_moves, out_of_reach
+from climber.random_wall import Recipe, hold_defaults, hold_specs, make_wall
+from climber.robot import Model, Robot
+from climber.scenario_fields import CircleSpec, CostWeights, RegionSpec
+from climber.stance import Contact, Stance, Vector
+from climber.transition import Postures
+
+NEIGHBOURS = 24  # holds around a place that stances there are made of
+TRIES = 12  # stances that can be held, tried at most at either end
+GOAL_RADIUS = 0.06  # [m]
+
+
+@dataclass(frozen=True)
+class RandomClimb:
+    """Where to climb on a random wall.
+
+    Attributes:
+        start: The hold of each limb, by name.
+        goal: Region for the pelvis's origin.
+        moves: No climb there has fewer moves.
+    """
+
+    start: dict[str, int]
+    goal: CircleSpec
+    moves: int
+
+
+def find_climb(recipe: Recipe, model: str, folder: Path | None = None) -> RandomClimb:
+    """Makes the wall and looks for a start and a goal.
+
+    Args:
+        recipe: What the wall is made by.
+        model: The robot's model, `package://climber/...` or a path.
+        folder: Where a relative path starts.
+
+    Raises:
+        ClimberError: If no wall can be made by the recipe, no stance near either end of it can be held, or the stance
+            graph does not lead from one end to the other.
+        ModelError: If the model cannot be planned for.
+    """
+    wall = make_wall(recipe)
+    robot = Robot(Model.load(model, folder), wall.gravity)
+    planner = MotionPlanner(Body(robot, wall), np.random.default_rng(recipe.seed))
+    width, height = recipe.size
+    if (room := float(robot.reach.max())) > height:
+        raise ClimberError(
+            f"the wall is only {height:.3g} m high and the robot reaches {room:.3g} m: no room for a climb; "
+            f"take more holds, a smaller density or a greater aspect"
+        )
+    ends = np.array([[width / 2, room / 2], [width / 2, height - room / 2]])
+    starts, tops = (list(_held(planner, end)) for end in ends)
+    if not starts or not tops:
+        where = "top" if starts else "bottom"
+        raise ClimberError(
+            f"no stance near the {where} of the wall can be held; take another seed or density, or rougher holds"
+        )
+    angle = robot.base_q[:2]
+    goals = [CircleSpec([round(float(x), 3) for x in found.q[0, angle]], GOAL_RADIUS) for found in tops]
+    for found in starts:
+        start = Stance(tuple(contact.hold for contact in found.contacts))
+        graph = build_stance_graph(wall, robot, start, CostWeights())
+        impossible = impossible_moves(graph, robot, wall)
+        for goal in goals:
+            moves = _fewest_moves(graph, impossible, goal)
+            if 0 < moves < FAR:
+                return RandomClimb(dict(zip(robot.limb_names, start.holds, strict=True)), goal, moves)
+    raise ClimberError(
+        f"from none of {len(starts)} stances near the bottom does the stance graph lead to the top; "
+        f"take another seed, a greater density, or rougher holds"
+    )
+
+
+def _held(planner: MotionPlanner, place: Vector) -> Iterator[Postures]:
+    """Postures on stances around a place in the wall plane that can be held, the nearest and most upright first."""
+    body = planner.body
+    wall, robot = body.wall, body.robot
+    positions = wall.positions[:, :2]
+    near = np.sort(np.linalg.norm(positions - place, axis=1).argsort()[:NEIGHBOURS])
+    if len(near) < len(robot.limbs):
+        return
+    rotations = Rotations.of(robot.reach, robot.symmetries)
+    poses = near[find_poses(positions[near], robot.reach, rotations, {})]
+    turned = [np.roll(poses, rotations.period * lift, axis=1) for lift in range(rotations.copies)]
+    stances = np.concatenate(turned)
+    stances = stances[~np.isnan(hold_set_intervals(wall, stances, robot.mass)[:, 0])]
+    stances = stances[~out_of_reach(robot, wall, stances)]
+    centers = positions[stances].mean(axis=1)
+    hips = np.array([limb.hip[:2] for limb in robot.limbs])
+    hips /= np.maximum(np.linalg.norm(hips, axis=1, keepdims=True), 1e-9)
+    away = positions[stances] - centers[:, None]
+    away /= np.maximum(np.linalg.norm(away, axis=2, keepdims=True), 1e-9)
+    upright = (away * hips).sum(axis=2).mean(axis=1)  # 1 if every limb points where its hip does
+    held = 0
+    for holds in stances[np.argsort(np.linalg.norm(centers - place, axis=1) - robot.reach.max() * upright)].tolist():
+        found = planner.standing(tuple(Contact(limb, hold) for limb, hold in enumerate(holds)))
+        if found.failure is None:
+            yield found
+            held += 1
+            if held == TRIES:
+                return
+
+
+def _fewest_moves(graph: StanceGraph, impossible: Sequence[int] | np.ndarray, goal: CircleSpec) -> int:
+    """Moves of a shortest walk to the goal; `FAR` if there is none."""
+    goals = graph.goal_vertices(region=RegionSpec(circle=goal).inside())
+    layers = Layers(graph.num_vertices, graph.tail, graph.head, graph.cost, graph.start, goals.tolist())
+    layers.usable[impossible] = False
+    layers.measure()
+    return layers.shortest
+
+
+def scenario_text(recipe: Recipe, model: str, climb: RandomClimb, name: str, made_by: str) -> str:
+    """The scenario as YAML, one line to a hold.
+
+    Args:
+        recipe: What the wall is made by.
+        model: The robot's model, as the file is to name it.
+        climb: The climb on it.
+        name: The scenario's name.
+        made_by: The command that makes this file, for the comment on top.
+    """
+    width, height = recipe.size
+    defaults = hold_defaults(recipe)
+    lines = [
+        f"# Made by: {made_by}",
+        f"name: {name}",
+        f"description: {recipe.holds} holds at random, {recipe.density:g} to the square metre, on {width:.2f} m x "
+        f"{height:.2f} m; at least {climb.moves} moves from bottom to top.",
+        f"seed: {recipe.seed}",
+        "wall:",
+        f"  inclination_deg: {recipe.inclination_deg!r}",
+        f"  hold_defaults: {{half_width: {defaults.half_width:g}, min_force: {defaults.min_force:g}, "
+        f"max_force: {defaults.max_force:g}, grip: {defaults.grip}}}",
+        "  holds:",
+    ]
+    lines += [
+        f"  - {{position: {spec.position}, normal: {spec.normal}, friction: {spec.friction}}}  # {number}"
+        for number, spec in enumerate(hold_specs(recipe))
+    ]
+    start = ", ".join(f"{limb}: {hold}" for limb, hold in climb.start.items())
+    lines += [
+        "robots:",
+        "- name: climber",
+        f"  model: {model}",
+        f"  start: {{{start}}}",
+        "  goal:",
+        f"    pelvis: {{circle: {{center: {climb.goal.center}, radius: {climb.goal.radius}}}}}",
+    ]
+    return "\n".join(lines) + "\n"
