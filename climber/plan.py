@@ -152,7 +152,7 @@ class _ClimbSearch:
         stance = None if goal.stance is None else Stance(tuple(goal.stance[name] for name in self.robot.limb_names))
         goals = graph.goal_vertices(holds=goal.holds, stance=stance, region=self.region)
         tasks = TaskPlanner(graph.num_vertices, graph.tail, graph.head, graph.cost, graph.start, goals.tolist())
-        tasks.cut(impossible_moves(graph, self.robot, self.body.wall))
+        tasks.cut(impossible_moves(graph, self.robot, self.body.wall, goals))
         if self.spec.avoid.holds:
             avoided = np.isin(graph.stances[graph.head], self.spec.avoid.holds).any(axis=1)
             tasks.cut(np.flatnonzero(avoided))

@@ -6,7 +6,7 @@ other is checked. Whether the motions exist is for the planner to find out.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,12 +14,12 @@ import numpy as np
 
 from climber.exceptions import ClimberError
 from climber.graph import StanceGraph, build_stance_graph
-from climber.layers import FAR, Layers
+from climber.holdsets import Ints
 from climber.manifold import Body
 from climber.motion import MotionPlanner
 from climber.poses import Rotations, find_poses
 from climber.programs.support import hold_set_intervals
-from climber.prune import impossible_moves, out_of_reach
+from climber.prune import distances, impossible_moves, out_of_reach
 from climber.random_wall import Recipe, hold_defaults, hold_specs, make_wall
 from climber.robot import Model, Robot
 from climber.scenario_fields import CircleSpec, CostWeights, RegionSpec
@@ -68,8 +68,8 @@ def find_climb(recipe: Recipe, model: str, folder: Path | None = None) -> Random
             f"the wall is only {height:.3g} m high and the robot reaches {room:.3g} m: no room for a climb; "
             f"take more holds, a smaller density or a greater aspect"
         )
-    ends = np.array([[width / 2, room / 2], [width / 2, height - room / 2]])
-    starts, tops = (list(_held(planner, end)) for end in ends)
+    places = np.array([[width / 2, room / 2], [width / 2, height - room / 2]])
+    starts, tops = (list(_held(planner, end)) for end in places)
     if not starts or not tops:
         where = "top" if starts else "bottom"
         raise ClimberError(
@@ -80,11 +80,13 @@ def find_climb(recipe: Recipe, model: str, folder: Path | None = None) -> Random
     for found in starts:
         start = Stance(tuple(contact.hold for contact in found.contacts))
         graph = build_stance_graph(wall, robot, start, CostWeights())
-        impossible = impossible_moves(graph, robot, wall)
+        usable = np.ones(graph.num_edges, dtype=bool)
+        usable[impossible_moves(graph, robot, wall, ends(graph, goals[0]))] = False
+        moves = distances(np.array([graph.start]), graph.first_edge, np.arange(graph.num_edges), graph.head, usable)
         for goal in goals:
-            moves = _fewest_moves(graph, impossible, goal)
-            if 0 < moves < FAR:
-                return RandomClimb(dict(zip(robot.limb_names, start.holds, strict=True)), goal, moves)
+            least = moves[ends(graph, goal)].min(initial=np.inf)
+            if 0 < least < np.inf:
+                return RandomClimb(dict(zip(robot.limb_names, start.holds, strict=True)), goal, int(least))
     raise ClimberError(
         f"from none of {len(starts)} stances near the bottom does the stance graph lead to the top; "
         f"take another seed, a greater density, or rougher holds"
@@ -121,13 +123,9 @@ def _held(planner: MotionPlanner, place: Vector) -> Iterator[Postures]:
                 return
 
 
-def _fewest_moves(graph: StanceGraph, impossible: Sequence[int] | np.ndarray, goal: CircleSpec) -> int:
-    """Moves of a shortest walk to the goal; `FAR` if there is none."""
-    goals = graph.goal_vertices(region=RegionSpec(circle=goal).inside())
-    layers = Layers(graph.num_vertices, graph.tail, graph.head, graph.cost, graph.start, goals.tolist())
-    layers.usable[impossible] = False
-    layers.measure()
-    return layers.shortest
+def ends(graph: StanceGraph, goal: CircleSpec) -> Ints:
+    """The vertices at which the pelvis can be in the goal."""
+    return graph.goal_vertices(region=RegionSpec(circle=goal).inside())
 
 
 def scenario_text(recipe: Recipe, model: str, climb: RandomClimb, name: str, made_by: str) -> str:
