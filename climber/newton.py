@@ -93,7 +93,12 @@ class Closure:
             damping = 1e-3 * (gap**2).sum(axis=1)[:, None, None] * np.eye(J.shape[1])
             step = np.linalg.solve(J @ np.swapaxes(J, 1, 2) + damping + 1e-18 * np.eye(J.shape[1]), gap[:, :, None])
             q[todo] -= (np.swapaxes(J, 1, 2) @ step)[:, :, 0] / self.scale
-        return q, np.abs(self.gap(q)).max(axis=1, initial=0.0) <= CLOSED
+        closed = np.abs(self.gap(q)).max(axis=1, initial=0.0) <= CLOSED
+        # Newton's method converges quadratically: one step more, and only rounding is left.
+        J = self.jacobian(q[closed])
+        step = np.einsum("knm,km->kn", np.linalg.pinv(J, rcond=SINGULAR), self.gap(q[closed]))
+        q[closed] -= step / self.scale
+        return q, closed
 
 
 class NewtonChart:

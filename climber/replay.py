@@ -14,7 +14,7 @@ from climber.programs.support import support_intervals
 from climber.robot import Robot
 from climber.silhouette import Outline, Silhouette
 from climber.stance import Vector
-from climber.wall import Wall
+from climber.wall import GRAVITY, Wall
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Replay:
         plan: The robot's part of the plan.
         robot: The robot.
         looks: What it looks like.
-        weight: Its weight along the wall [N].
+        weight: Its weight [N], along the wall unless the wall is a floor.
         support: Support interval of the limbs in contact during each phase [m], NaN where empty, shape (num_phases, 2).
         start: Time at which the climb begins [s].
         end: Time at which it ends [s].
@@ -63,16 +63,17 @@ class Replay:
             raise PlanFileError(f"robot {plan.name!r}: a limb swings out of the last of {len(plan.stances)} stances")
         self.plan, self.robot, self.looks = plan, robot, Silhouette(robot)
         self._columns = [plan.positions.index(name) for name in robot.position_names]
-        self.weight = weight_in_plane(wall, robot.mass)
+        along = weight_in_plane(wall, robot.mass)
+        self.weight = along or robot.mass * GRAVITY
         forces = wall_forces(wall)
-        self.support = np.vstack([self._interval(phase, forces) for phase in plan.phases])
+        self.support = np.vstack([self._interval(phase, forces, along) for phase in plan.phases])
         self._begins = np.array([phase.time[0] for phase in plan.phases])
         self.start, self.end = float(plan.phases[0].time[0]), float(plan.phases[-1].time[-1])
 
-    def _interval(self, phase: Phase, forces: ContactForces) -> Vector:
+    def _interval(self, phase: Phase, forces: ContactForces, weight: float) -> Vector:
         holds = np.array([[contact.hold for contact in phase.contacts]], dtype=int)
         points = np.array([[contact.point for contact in phase.contacts]], dtype=float)
-        return support_intervals(points, forces[holds], self.weight)
+        return support_intervals(points, forces[holds], weight)
 
     def at(self, time: float) -> Moment:
         """The robot at `time` [s], samples interpolated linearly; before and after the climb it stands still."""
@@ -114,7 +115,8 @@ class Replay:
         if limb is None:
             return "shift on holds " + ", ".join(str(contact.hold) for contact in plan.phases[phase].contacts)
         number = self.moves.index(phase) + 1
-        holds = f"hold {plan.stances[stance][limb]} to {plan.stances[stance + 1][limb]}"
+        before, after = plan.stances[stance][limb], plan.stances[stance + 1][limb]
+        holds = f"hold {before} to {after}" if before != after else f"hold {before} again"
         return f"move {number} of {len(self.moves)}: {limb.replace('_', ' ')}, {holds}"
 
     @cached_property
