@@ -1,6 +1,7 @@
-"""The task planner's extensions on W3: a waypoint, two robots, and asked again after splits and conflicts.
+"""The task planner's extensions on W3: waypoint, two robots, asked again after splits; and a wall of 1000 holds.
 
-    python -m benchmarks.bench_team [--wall W3] [--repeat 5] [--encodings literal lean] [--questions 60] [--skip-peers]
+    python -m benchmarks.bench_team [--wall W3] [--repeat 5] [--encodings literal lean] [--questions 60] [--holds 1000]
+        [--skip-peers]
 
 Waypoint and second robot are those of the wall's file, on the thesis's graph of poses, and the peers run the thesis's
 encoding; they run in turn with ours, each in a process of its own, and must agree on makespan and cost. In the peers'
@@ -22,12 +23,19 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bench_task import TARGET_AGAIN, WALLS, Problem, problems
+from benchmarks import bench_graph
+from benchmarks.bench_task import TARGET_AGAIN, WALLS, Problem, Quadruped, Weights, problems
 from benchmarks.peers import thesis_asp
 from benchmarks.rows import Row
+from climber.graph import build_stance_graph
+from climber.layers import FAR
+from climber.poses import Rotations, find_poses
+from climber.programs.support import hold_set_intervals
+from climber.stance import Stance
 from climber.task import RobotTask, TaskPlan, TaskPlanner
 
 TARGETS = {"waypoint": 100.0, "two robots": 50.0}  # times faster than the thesis's encoding
+TARGET_ACROSS = 5.0  # [s]
 
 
 def vertex(problem: Problem, holds: list[int]) -> int:
@@ -136,6 +144,27 @@ def conflicts(make: Callable[[], TaskPlanner], most: int) -> Iterator[float]:
         yield time.perf_counter() - began
 
 
+def across(num_holds: int, repeat: int) -> None:
+    """Prints how long the plan takes from the lowest stance of a scattered wall to the one farthest from there."""
+    wall = bench_graph.scattered_wall(num_holds, np.random.default_rng(0))
+    positions, reach = wall.positions[:, :2], np.full(4, 0.25)
+    near = np.linalg.norm(positions - positions.mean(axis=0), axis=1).argsort()[:20]
+    starts = near[find_poses(positions[near], reach, Rotations(4, 1, 2), {})]
+    starts = starts[~np.isnan(hold_set_intervals(wall, starts, 2.0)[:, 0])]
+    robot = Quadruped(reach)
+    graphs = (build_stance_graph(wall, robot, Stance(tuple(start)), Weights()) for start in starts.tolist())
+    graph = next(graph for graph in graphs if graph.num_edges)
+    lowest = int(positions[graph.stances, 1].sum(axis=1).argmin())
+    arrays = graph.num_vertices, graph.tail, graph.head, graph.cost
+    distances = TaskPlanner(*arrays, lowest, [lowest]).layers[0].from_start
+    farthest = int(np.where(distances < FAR, distances, -1).argmax())
+    runs = [timed(lambda: TaskPlanner(*arrays, lowest, [farthest])) for _ in range(repeat)]
+    plan, seconds = runs[0][0], float(np.median([seconds for _, seconds in runs]))
+    note = f"{graph.num_vertices} stances, {graph.num_edges} moves; {plan.makespan} steps, cost {plan.cost}"
+    print(f"across {num_holds} scattered holds: {seconds:.2f} s, {plan.stats.pairs} pairs; {note}")
+    Row(f"task plan across the {num_holds}-hold graph, proved", seconds, "s", TARGET_ACROSS, note=note).show()
+
+
 def told(name: str, seconds: list[float], target: float | None) -> None:
     median, worst = np.median(seconds), max(seconds)
     print(f"{name}: {len(seconds)} times, median {1e3 * median:.1f} ms, worst {1e3 * worst:.1f} ms")
@@ -149,6 +178,7 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=5, help="runs of ours before and after each of a peer's")
     parser.add_argument("--encodings", nargs="*", default=["literal", "lean"], choices=["literal", "lean"])
     parser.add_argument("--questions", type=int, default=60, help="most questions after splits")
+    parser.add_argument("--holds", type=int, default=1000, help="size of the scattered wall")
     parser.add_argument("--skip-peers", action="store_true", help="only ours")
     arguments = parser.parse_args()
     encodings = [] if arguments.skip_peers else arguments.encodings
@@ -188,6 +218,7 @@ def main() -> None:
         list(conflicts(lambda: TaskPlanner([first, second], handover=True), 10)),
         None,
     )
+    across(arguments.holds, arguments.repeat)
     sys.exit(not agree)
 
 

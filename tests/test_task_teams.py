@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from climber.task import Deed, Impossible, RobotTask, TaskPlan, TaskPlanner, Walk
+from climber.components import MOST_COMPONENTS
+from climber.task import WAIT, Deed, Impossible, RobotTask, TaskPlan, TaskPlanner, Walk
+from climber.task_program import _text
 
 Position = tuple[int, int | None, frozenset[int]]  # vertex, component, waypoints visited
 
@@ -280,3 +283,203 @@ def test_three_robots_likewise(robots: list[Climber], data: st.DataObject) -> No
     starts = [{*robot.holds[robot.start]} for robot in robots]
     assume(not any(one & other for one, other in itertools.combinations(starts, 2)))
     assert_answers_are_best(Team(robots, handover=data.draw(st.booleans(), label="handover")), data, rounds=4)
+
+
+def corridor(length: int) -> Climber:
+    """Vertices in a row, each on two holds of its own, and both ways along it for 1 each."""
+    edges = [(v, v + 1, 1) for v in range(length - 1)] + [(v + 1, v, 1) for v in range(length - 1)]
+    return Climber(length, edges, 0, [length - 1], [[2 * v, 2 * v + 1] for v in range(length)])
+
+
+def reversed_(robot: Climber) -> Climber:
+    return replace(robot, start=robot.goals[0], goals=[robot.start], cut=set(), counts={}, bars=set(), start_bars=set())
+
+
+def test_two_robots_cross_where_one_can_step_aside() -> None:
+    robot = corridor(5)
+    siding = replace(robot, num_vertices=6, edges=[*robot.edges, (2, 5, 1), (5, 2, 1)], holds=[*robot.holds, [10, 11]])
+    team = Team([siding, reversed_(siding)])
+    plan = team.planner().plan()
+    assert isinstance(plan, TaskPlan)
+    assert (plan.makespan, plan.cost) == team.best()
+    assert any(5 in walk.vertices for walk in plan.walks)
+    assert any(WAIT in walk.edges for walk in plan.walks)
+    team.assert_is_plan(plan)
+
+
+def test_two_robots_in_a_corridor_are_proved_unable_to_pass() -> None:
+    robot = corridor(5)
+    answer = TaskPlanner([robot.task(), reversed_(robot).task()]).plan()
+    assert isinstance(answer, Impossible)
+    assert answer.robot is None
+    assert answer.joint == 10  # the first is left of the second: 5 choose 2
+    assert "every robot has a way to its goal but they have none together; 10 joint positions" in answer.reason
+
+
+def test_a_hold_is_passed_on_only_after_the_step_that_frees_it() -> None:
+    # The second robot goes where the first has been, as soon as it may.
+    first = Climber(2, [(0, 1, 1)], 0, [1], [[0, 1], [1, 2]])
+    second = Climber(2, [(0, 1, 1)], 0, [1], [[3, 4], [0, 4]])
+    plan = TaskPlanner([first.task(), second.task()]).plan()
+    assert isinstance(plan, TaskPlan)
+    assert [walk.edges for walk in plan.walks] == [(0, WAIT), (WAIT, 0)]
+    plan = TaskPlanner([first.task(), second.task()], handover=True).plan()
+    assert isinstance(plan, TaskPlan)
+    assert [walk.edges for walk in plan.walks] == [(0,), (0,)]
+
+
+def test_moves_in_conflict_are_made_one_after_the_other() -> None:
+    robot = Climber(2, [(0, 1, 1)], 0, [1], [[0, 1], [2, 3]])
+    other = replace(robot, holds=[[4, 5], [6, 7]])
+    planner = TaskPlanner([robot.task(), other.task()])
+    assert planner.plan().stats.shortest == 1
+    planner.conflict((0, "move", 0), (1, "move", 0))
+    plan = planner.plan()
+    assert isinstance(plan, TaskPlan)
+    assert (plan.makespan, plan.cost) == (2, 2)
+    planner.conflict((1, "at", 1), (0, "move", 0))
+    planner.conflict((0, "at", 0), (1, "move", 0))
+    planner.conflict((0, "at", 1), (1, "move", 0))
+    answer = planner.plan()
+    assert isinstance(answer, Impossible)
+    assert answer.joint == 2  # where they start, and the first robot waiting for the second at its goal is no end
+
+
+def test_only_a_way_through_both_components_of_a_stance_is_left() -> None:
+    # Bretl 2006: the graph has 0-1-3, but what arrives at 1 from 0 cannot leave it for 3; it can after a detour by 2.
+    edges = [(0, 1, 1), (1, 3, 1), (1, 2, 1), (2, 1, 1)]
+    planner = TaskPlanner([RobotTask(4, *np.array(edges).T, 0, [3])])
+    plan = planner.plan()
+    assert isinstance(plan, TaskPlan)
+    assert plan.vertices == (0, 1, 3)
+    assert planner.split(0, 1) == 2
+    planner.forbid(0, 0, to_component=1)
+    planner.forbid(0, 1, from_component=0)
+    plan = planner.plan()
+    assert isinstance(plan, TaskPlan)
+    assert plan.walks[0].vertices == (0, 1, 2, 1, 3)
+    assert plan.walks[0].components == (None, 0, None, 1, None)
+    assert plan.proofs.cost_proved
+    planner.forbid(0, 3, to_component=1)
+    answer = planner.plan()
+    assert isinstance(answer, Impossible)
+    assert answer.blocking.tolist() == [1]
+    assert answer.barred == 1
+    assert "all 1 edges are cut or barred" in answer.reason
+    # A third component is a third chance.
+    assert planner.split(0, 1) == 3
+    plan = planner.plan()
+    assert isinstance(plan, TaskPlan)
+    assert plan.walks[0].vertices == (0, 1, 3)
+    assert plan.walks[0].components == (None, 2, None)
+
+
+def test_a_vertex_gets_so_many_components_and_no_more() -> None:
+    planner = TaskPlanner(2, [0], [1], [1], 0, [1])
+    assert [planner.split(0, 0) for _ in range(MOST_COMPONENTS)] == [*range(2, MOST_COMPONENTS + 1), None]
+    for component in range(MOST_COMPONENTS):
+        assert isinstance(planner.plan(), TaskPlan)
+        planner.forbid_start(0, component)
+    answer = planner.plan()
+    assert isinstance(answer, Impossible)
+    assert answer.reached.tolist() == [0]
+
+
+def test_teaching_grounds_nothing_that_was_grounded() -> None:
+    robot = corridor(7)
+    team = [robot.task(), replace(robot, holds=[[a + 20, b + 20] for a, b in robot.holds]).task()]
+    planner = TaskPlanner(team)
+    plan = planner.plan()
+    pairs, moves = plan.stats.pairs, plan.stats.moves
+    planner.split(0, 3)
+    planner.forbid(0, 2, to_component=0)
+    planner.penalise([4], 3, robot=1)
+    planner.forbid(1, 7)  # a way back, which the plan does not need
+    again = planner.plan()
+    assert isinstance(again, TaskPlan)
+    assert (again.stats.pairs, again.stats.moves) == (pairs, moves)
+    assert [(a.pairs, a.moves) for a in again.stats.attempts] == [(0, 0)]
+    assert again.walks[0].components[3] == 1
+
+
+def test_extensions_are_loaded_only_when_they_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded: list[str] = []
+    monkeypatch.setattr("climber.task_program._text", lambda name: loaded.append(name) or _text(name))
+    robot = corridor(3)
+    planner = TaskPlanner(3, *np.array(robot.edges).T, 0, [2])
+    planner.cut([0])
+    planner.plan()
+    assert loaded == ["climb"]
+    planner.split(0, 1)
+    planner.split(0, 2)
+    assert loaded == ["climb", "refine"]
+    loaded.clear()
+    TaskPlanner([replace(robot, waypoints=[[1]]).task()])
+    assert loaded == ["climb", "waypoints"]
+    loaded.clear()
+    TaskPlanner([robot.task(), reversed_(robot).task()])
+    assert loaded == ["climb", "teams"]
+
+
+def test_waypoints_in_a_given_order_cost_what_any_order_saves() -> None:
+    robot = replace(corridor(5), start=2, goals=[2], waypoints=[[4], [0], [4]])
+    for ordered, makespan, visits in ((False, 8, None), (True, 12, (2, 6, 10))):
+        plan = Team([replace(robot, ordered=ordered)]).planner().plan()
+        assert isinstance(plan, TaskPlan)
+        assert plan.makespan == makespan
+        assert visits is None or plan.walks[0].visits == visits
+
+
+def test_waypoints_out_of_reach_are_named() -> None:
+    robot = replace(corridor(5), waypoints=[[1], [4], [3]], goals=[0])
+    planner = Team([robot]).planner()
+    planner.cut([2])
+    answer = planner.plan()
+    assert isinstance(answer, Impossible)
+    assert answer.missing == (1, 2)
+    assert answer.blocking.tolist() == [2]
+    assert "of waypoints 1 and 2 none is among the 3 vertices that can be reached" in answer.reason
+    # Each can be reached, but there is no way back from one to the other.
+    answer = TaskPlanner([RobotTask(3, [0, 0], [1, 2], [1, 1], 0, [1, 2], waypoints=[[1], [2]])]).plan()
+    assert isinstance(answer, Impossible)
+    assert answer.missing == ()
+    assert "no walk visits all waypoints" in answer.reason
+
+
+def test_the_same_team_gets_the_same_answers() -> None:
+    def answers() -> list[tuple[Walk, ...]]:
+        rng = np.random.default_rng(5)
+        side = [(v, v + d, 1) for v in range(24) for d in (1, -1, 5, -5) if 0 <= v + d < 25]
+        robot = Climber(25, side, 0, [24], [[v, 25 + v % 11] for v in range(25)])
+        planner, plans = TaskPlanner([robot.task(), reversed_(robot).task()]), []
+        for _ in range(4):
+            plan = planner.plan()
+            assert isinstance(plan, TaskPlan)
+            plans.append(plan.walks)
+            planner.cut([int(rng.choice([e for e in plan.walks[0].edges if e >= 0]))])
+            planner.split(1, plan.walks[1].vertices[2])
+        return plans
+
+    assert answers() == answers()
+
+
+def test_what_makes_no_sense_is_refused() -> None:
+    robot = corridor(3)
+    with pytest.raises(ValueError, match="robot 0 comes without the holds"):
+        TaskPlanner([replace(robot.task(), holds=None), robot.task()])
+    with pytest.raises(ValueError, match="robots 0 and 1 both start on hold 0"):
+        TaskPlanner([robot.task(), robot.task()])
+    with pytest.raises(ValueError, match="starts on vertex 0, which it is to avoid"):
+        TaskPlanner([replace(robot.task(), avoid=[0])])
+    with pytest.raises(ValueError, match="waypoints reaches from 3"):
+        TaskPlanner([replace(robot.task(), waypoints=[[3]])])
+    planner = TaskPlanner([robot.task(), reversed_(robot).task()])
+    with pytest.raises(ValueError, match="vertex 1, which has not been split"):
+        planner.forbid(0, 0, to_component=0)
+    planner.split(0, 1)
+    with pytest.raises(ValueError, match="component 2 of vertex 1, which has components 0 to 1"):
+        planner.forbid(0, 0, to_component=2)
+    with pytest.raises(ValueError, match="both of robot 1"):
+        planner.conflict((1, "move", 0), (1, "at", 0))
+    with pytest.raises(ValueError, match="vertex is 3"):
+        planner.split(0, 3)
