@@ -449,7 +449,7 @@ def test_waypoints_out_of_reach_are_named() -> None:
 def test_the_same_team_gets_the_same_answers() -> None:
     def answers() -> list[tuple[Walk, ...]]:
         rng = np.random.default_rng(5)
-        side = [(v, v + d, 1) for v in range(24) for d in (1, -1, 5, -5) if 0 <= v + d < 25]
+        side = [(v, v + d, 1) for v in range(25) for d in (1, -1, 5, -5) if 0 <= v + d < 25]
         robot = Climber(25, side, 0, [24], [[v, 25 + v % 11] for v in range(25)])
         planner, plans = TaskPlanner([robot.task(), reversed_(robot).task()]), []
         for _ in range(4):
