@@ -126,9 +126,12 @@ class Robot:
 
     def _check_planar(self, base: PlanarJoint) -> None:
         """Refuses a planar joint whose positions are not the pelvis's own x, y and angle in W."""
-        poses = [frame.GetFixedPoseInBodyFrame() for frame in (base.frame_on_parent(), base.frame_on_child())]
-        at_world = base.parent_body().index() == self.plant.world_body().index()
-        if not at_world or not all(pose.IsNearlyIdentity(1e-12) for pose in poses):
+        poses = [base.frame_on_child().GetFixedPoseInBodyFrame()]
+        # An SDF file cannot name the world as the parent of a planar joint, but a body that is welded to it.
+        ground = {body.index() for body in self.plant.GetBodiesWeldedTo(self.plant.world_body())}
+        if base.parent_body().index() in ground:
+            poses.append(base.frame_on_parent().CalcPoseInWorld(self.plant.CreateDefaultContext()))
+        if len(poses) < 2 or not all(pose.IsNearlyIdentity(1e-12) for pose in poses):
             raise ModelError(
                 f"{self.model.path}: the planar joint {base.name()!r} must join the frame of the pelvis to that of the "
                 f"world, with no offset, and about z (URDF's default axis is x)"
