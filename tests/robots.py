@@ -1,0 +1,112 @@
+"""Robot models for the tests, and walls that fit them: unlike each other in limbs, joints, axes and frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from climber.kinematics import Kinematics
+from climber.manifold import Body, Manifold, Margins
+from climber.robot import Robot
+from climber.stance import Contact, Vector
+from climber.transition import PostureSampler, support_interval
+from climber.wall import Hold, Wall
+
+FOLDER = Path(__file__).parent / "models"
+MODELS = {
+    "quadruped": "package://climber/quadruped/quadruped.urdf",
+    "three_limbed": str(FOLDER / "three_limbed.urdf"),
+    "long_limbed": str(FOLDER / "long_limbed.urdf"),
+}
+every_model = pytest.mark.parametrize("model", MODELS)
+
+
+@cache
+def robot(model: str) -> Robot:
+    """The robot of one of `MODELS`."""
+    return Robot(MODELS[model])
+
+
+@cache
+def body(model: str) -> Body:
+    """The robot on a wall without holds or obstacles."""
+    return Body(robot(model), Wall(()))
+
+
+@cache
+def kinematics(model: str) -> Kinematics:
+    """The kinematics of one of `MODELS`."""
+    return body(model).kinematics
+
+
+def configurations(model: str, rng: np.random.Generator, count: int) -> Vector:
+    """Configurations anywhere within a metre, joints within their limits, shape (count, nq)."""
+    machine = robot(model)
+    q = np.zeros((count, machine.plant.num_positions()))
+    q[:, machine.base_q] = rng.uniform([-1, -1, -np.pi], [1, 1, np.pi], (count, 3))
+    for limb in machine.limbs:
+        lower, upper = limb.one_turn
+        q[:, limb.q] = rng.uniform(lower, upper, (count, len(limb.q)))
+    return q
+
+
+def clear_configurations(model: str, rng: np.random.Generator, count: int) -> Vector:
+    """Configurations in which no link is within 5 mm of another, and no limb nearly straight or at a limit."""
+    found = np.zeros((0, robot(model).plant.num_positions()))
+    while len(found) < count:
+        q = configurations(model, rng, 200)
+        good = (body(model).clearance(kinematics(model).poses(q)) > 0.005) & (kinematics(model).within_limits(q) > 0.1)
+        for limb, inverse, chain in zip(robot(model).limbs, body(model).inverse, kinematics(model).chains, strict=True):
+            assert inverse is not None
+            pelvis = kinematics(model).pelvis(q[:, robot(model).base_q])
+            links = chain.links(pelvis, q[:, limb.q])
+            distance = np.linalg.norm(chain.foot_position(pelvis, links) - links[-2].origin, axis=1)
+            near, far = inverse.extent
+            good &= (distance < far - 0.01) & (distance > near + 0.01)
+        found = np.concatenate([found, q[good]])
+    return found[:count]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A robot on pins, one under each foot of a configuration.
+
+    Attributes:
+        body: The robot on that wall.
+        contacts: The contacts of the limbs that hold.
+        q: The configuration, shape (nq,).
+        manifold: All configurations on the contacts.
+    """
+
+    body: Body
+    contacts: tuple[Contact, ...]
+    q: Vector
+    manifold: Manifold
+
+    def postures(self, rng: np.random.Generator, count: int) -> Vector:
+        """Feasible configurations on the contacts, about the first `count` found, shape (M, nq)."""
+        sampler = PostureSampler(self.body, self.manifold)
+        q = np.concatenate([sampler.draw(rng, 2000)[0] for _ in range(5)])
+        return q[:count]
+
+
+def standing(model: str, seed: int, air: tuple[int, ...] = (), margins: Margins | None = None) -> Standing:
+    """The robot in a random clear configuration with its feet on pins, but for the limbs in the air."""
+    rng = np.random.default_rng(seed)
+    machine = robot(model)
+    while True:
+        (q,) = clear_configurations(model, rng, 1)
+        feet = kinematics(model).feet(q[None])[0]
+        holds = tuple(Hold(tuple(foot), (0.0, 1.0, 0.0), 0.6, max_force=200.0, grip="pin") for foot in feet)
+        here = Body(machine, Wall(holds))
+        contacts = tuple(Contact(i, i) for i in range(len(feet)) if i not in air)
+        support = support_interval(here, contacts)
+        if support is None:
+            continue
+        manifold = Manifold(here, contacts, support, margins)
+        if manifold.slack(q[None])[0] > 0:
+            return Standing(here, contacts, q, manifold)
