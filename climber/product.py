@@ -10,6 +10,7 @@ more matrix here, and costs nothing; a logic program would have to be given ever
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,7 +26,8 @@ from climber.task import TaskPlanner, _Tally
 from climber.task_plan import Attempt
 from climber.task_program import Answer
 
-CHUNK = 100_000  # joint positions expanded at a time
+CHUNK = 50_000  # joint positions expanded at a time
+GATHER = 5_000_000  # joint steps kept before only the cheapest to each position are
 MOST = 40_000_000  # joint positions of one step beyond which this is the wrong method
 
 
@@ -169,15 +171,10 @@ class ProductPlanner(TaskPlanner):
                 ways = [*(earlier[keep] for earlier in ways), way]
             heads = tuple(robot.head[way] for robot, way in zip(team, ways, strict=True))
             cost = before.cost[rows] + sum(robot.cost[way] for robot, way in zip(team, ways, strict=True))
-            found.append(_cheapest(_Step(np.ravel_multi_index(heads, sizes), cost, rows, np.array(ways))))
-        step = _cheapest(
-            _Step(
-                np.concatenate([part.keys for part in found]),
-                np.concatenate([part.cost for part in found]),
-                np.concatenate([part.parent for part in found]),
-                np.concatenate([part.ways for part in found], axis=1),
-            )
-        )
+            found.append(_Step(np.ravel_multi_index(heads, sizes), cost, rows, np.array(ways)))
+            if sum(len(part.keys) for part in found) > GATHER:
+                found = [_cheapest(found, sizes)]
+        step = _cheapest(found, sizes)
         if len(step.keys) > MOST:
             raise ClimberError(f"the team can be in more than {MOST} positions at once; that is too many to go through")
         return step
@@ -219,10 +216,25 @@ class ProductPlanner(TaskPlanner):
             place = int(steps[t].parent[place])
 
 
-def _cheapest(step: _Step) -> _Step:
-    """Each joint position once."""
-    order = np.lexsort((step.cost, step.keys))
-    first = np.ones(len(order), bool)
-    first[1:] = np.diff(step.keys[order]) > 0
-    chosen = order[first]
+def _cheapest(parts: list[_Step], sizes: tuple[int, ...]) -> _Step:
+    """Each joint position once, at least cost."""
+    step = _Step(
+        np.concatenate([part.keys for part in parts]),
+        np.concatenate([part.cost for part in parts]),
+        np.concatenate([part.parent for part in parts]),
+        np.concatenate([part.ways for part in parts], axis=1),
+    )
+    # A table of all joint positions beats sorting those that there are, as long as it fits into memory.
+    if math.prod(sizes) <= MOST:
+        least = np.full(math.prod(sizes), FAR)
+        np.minimum.at(least, step.keys, step.cost)
+        best = np.flatnonzero(step.cost == least[step.keys])
+        least[step.keys[best]] = best
+        chosen = best[least[step.keys[best]] == best]
+        chosen = chosen[np.argsort(step.keys[chosen], kind="stable")]
+    else:
+        order = np.lexsort((step.cost, step.keys))
+        first = np.ones(len(order), bool)
+        first[1:] = np.diff(step.keys[order]) > 0
+        chosen = order[first]
     return _Step(step.keys[chosen], step.cost[chosen], step.parent[chosen], step.ways[:, chosen])
