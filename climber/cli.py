@@ -115,17 +115,20 @@ def _solve(options: argparse.Namespace) -> int:
         if not options.no_pictures:
             status.update("drawing ...")
             written += _pictures(plan, options.out)
-    robot = plan.robots[0]
+    robots = plan.robots
+    moves, cost = sum(robot.moves for robot in robots), sum(robot.cost for robot in robots)
+    duration, cuts = max(robot.duration for robot in robots), sum(len(robot.cuts) for robot in robots)
     seconds = time.perf_counter() - began
     if options.json:
         facts: dict[str, Any] = {
             "ok": True,
-            "moves": robot.moves,
-            "cost": robot.cost,
-            "duration": round(robot.duration, 3),
-            "cuts": len(robot.cuts),
-            "proofs": robot.proofs,
-            "counts": robot.counts,
+            "moves": moves,
+            "cost": cost,
+            "duration": round(duration, 3),
+            "cuts": cuts,
+            "proofs": robots[0].proofs,
+            "counts": robots[0].counts,
+            "robots": [{"name": robot.name, "moves": robot.moves, "cost": robot.cost} for robot in robots],
             "timings": plan.timings,
             "seconds": round(seconds, 2),
             "files": [str(path) for path in written],
@@ -133,11 +136,14 @@ def _solve(options: argparse.Namespace) -> int:
         print(json.dumps(facts))
         return OK
     console.print(
-        f"[bold]{scenario.name}[/bold]: {robot.moves} moves of cost {robot.cost:g}, {robot.duration:.1f} s of motion, "
-        f"{len(robot.cuts)} moves cut, found in {plan.timings['total']:.1f} s"
+        f"[bold]{scenario.name}[/bold]: {moves} moves of cost {cost:g}, {duration:.1f} s of motion, "
+        f"{cuts} moves cut, found in {plan.timings['total']:.1f} s"
     )
-    for limbs in _told(robot.stances):
-        console.print(f"  {limbs}", style="dim", markup=False)
+    for robot in robots:
+        if len(robots) > 1:
+            console.print(f"  {robot.name}: {robot.moves} moves of cost {robot.cost:g}", markup=False)
+        for limbs in _told(robot.stances):
+            console.print(f"  {limbs}", style="dim", markup=False)
     console.print(f"wrote {', '.join(str(path) for path in written)}")
     return OK
 
