@@ -7,8 +7,11 @@ way is blocked, a roadmap finds postures to go by.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from climber.apart import why_apart
 from climber.atlas import atlas_path
 from climber.manifold import Manifold
 from climber.roadmap import Roadmap
@@ -19,6 +22,8 @@ from climber.rrt import connect, shortened
 from climber.rrt import line as line
 from climber.rrt import unwound as unwound
 from climber.stance import Vector
+
+THOROUGH = 5  # times as many samples where a single chart is all that there is to look in
 
 
 def find_path(
@@ -65,7 +70,11 @@ def _without_inverse(
     if not (manifold.global_charts and alike):
         return atlas_path(manifold, a, b, rng, search)
     chart = manifold.chart(a)
-    u = connect(manifold, chart, chart.coordinates(a), chart.coordinates(b), rng, search)
+    u = connect(manifold, chart, chart.coordinates(a), chart.coordinates(b), rng, replace(search, iterations=0))
+    if u is None and why_apart(manifold, a, b) is None:
+        # Nothing speaks against a path, and no roadmap helps to find it.
+        thorough = replace(search, iterations=THOROUGH * search.iterations)
+        u = connect(manifold, chart, chart.coordinates(a), chart.coordinates(b), rng, thorough)
     return None if u is None else [shortened(manifold, Leg(chart, u), rng, search)]
 
 

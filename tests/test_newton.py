@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from climber.apart import Cells, why_apart
 from climber.atlas import atlas_path
 from climber.curve import rounded
 from climber.graph import build_stance_graph
@@ -272,6 +273,59 @@ def test_a_hanging_robot_may_turn_all_the_way_round() -> None:
     for u in chart.turns(chart.coordinates(q)):
         off = (chart.expand(u[None])[0][0] - q) / (2 * np.pi)
         assert off == pytest.approx(off.round(), abs=1e-9)
+
+
+# --- proofs that there is no path ------------------------------------------------------------------------------------
+
+
+def test_blocked_cells_hold_no_feasible_configuration_and_free_ones_none_that_touches_an_obstacle() -> None:
+    manifold = hanging(0, 1)
+    cells, chart = Cells(manifold), manifold.chart(np.zeros(4))
+    rng = np.random.default_rng(13)
+    shape = (256, 228)
+    column, row = rng.integers(0, 256, 3000), rng.integers(0, 228, 3000)
+    blocked, free = cells._look(column, row, shape)
+    assert blocked.sum() > 100 and free.sum() > 100 and not (blocked & free).any()
+    lower, upper = double_link().robot.limbs[1].one_turn
+    for _ in range(5):
+        u = np.empty((3000, 2))
+        u[:, 0] = (column + rng.random(3000)) / shape[0] * 2 * np.pi
+        u[:, 1] = lower[0] + (row + rng.random(3000)) / shape[1] * (upper - lower)[0]
+        clearance = double_link().clearance(double_link().kinematics.poses(chart.expand(u)[0]))
+        assert (clearance[blocked] <= 0.0).all() and (clearance[free] > 0.0).all()
+
+
+@pytest.mark.parametrize(("limb", "hold", "pieces"), [(1, 0, 1), (0, 1, 4), (1, 2, 1), (1, 3, 1)])
+def test_what_hangs_from_a_hold_falls_into_as_many_pieces_as_in_bretls_figure(
+    limb: int, hold: int, pieces: int
+) -> None:
+    cells = Cells.of(hanging(limb, hold))
+    assert len(set(np.unique(cells._pieces).tolist()) - {0}) == pieces
+    assert Cells.of(hanging(limb, hold)) is cells
+
+
+def test_postures_joined_by_a_path_are_in_one_piece() -> None:
+    manifold, rng = hanging(0, 1), np.random.default_rng(14)
+    cells = Cells.of(manifold)
+    q = NewtonSampler(manifold.body, manifold).draw(rng, 200)[0]
+    assert all(cells.component(row) for row in q)
+    joined = apart = 0
+    for a, b in itertools.pairwise(q[:40]):
+        path = find_path(manifold, a, b, rng, Search(iterations=20))
+        assert path is None or cells.component(a) == cells.component(b)
+        joined, apart = joined + (path is not None), apart + (why_apart(manifold, a, b) is not None)
+    assert joined > 5 and apart > 5
+
+
+def test_isolated_postures_are_proved_apart_and_one_is_not_apart_from_itself() -> None:
+    manifold = Manifold(double_link(), [Contact(0, 1), Contact(1, 0)], ANYWHERE)
+    one, two = NewtonSampler(manifold.body, manifold).draw(np.random.default_rng(15), 300)[0]
+    turned = one + np.array([0.0, 0.0, 2 * np.pi, 0.0])
+    assert why_apart(manifold, one, two) is not None and why_apart(manifold, one, turned) is None
+
+
+def test_nothing_is_proved_of_robots_with_more_freedom() -> None:
+    assert why_apart(quadruped(), standing()[0], standing()[1]) is None
 
 
 # --- the double link -------------------------------------------------------------------------------------------------
