@@ -11,6 +11,7 @@ those of RRT*, which RRT-Connect's were twice. The exit code is 1 if a climb is 
 from __future__ import annotations
 
 import argparse
+import resource
 import statistics
 import subprocess
 import sys
@@ -54,6 +55,7 @@ class Run:
 
     Attributes:
         seconds: Wall time of `climber solve` [s].
+        busy: Its processor time [s]; far less than the wall time if the machine has more to do than this.
         verify_seconds: Wall time of `climber verify` [s]; nan if nothing was found.
         complaint: What went wrong, empty if nothing did.
         moves: Moves of all robots.
@@ -64,6 +66,7 @@ class Run:
     """
 
     seconds: float
+    busy: float
     verify_seconds: float
     complaint: str
     moves: int = 0
@@ -78,29 +81,41 @@ def path_length(plan: Plan) -> float:
     return sum(joint_length(phase.q) for robot in plan.robots for phase in robot.phases)
 
 
-def climber(*arguments: str) -> tuple[float, str]:
-    """Runs a command of climber: its wall time [s], and what it complained of."""
-    began = time.perf_counter()
+def processor_time() -> float:
+    """Processor time of all processes that this one has run so far [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def climber(*arguments: str) -> tuple[float, float, str]:
+    """Runs a command of climber: its wall time and processor time [s], and what it complained of."""
+    began, busy_before = time.perf_counter(), processor_time()
     done = subprocess.run(
         [sys.executable, "-m", "climber.cli", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
     )
-    seconds = time.perf_counter() - began
+    seconds, busy = time.perf_counter() - began, processor_time() - busy_before
     if done.returncode == 0:
-        return seconds, ""
-    return seconds, (done.stderr.strip() or done.stdout.strip()).splitlines()[-1] or f"exit code {done.returncode}"
+        return seconds, busy, ""
+    return (
+        seconds,
+        busy,
+        (done.stderr.strip() or done.stdout.strip()).splitlines()[-1] or f"exit code {done.returncode}",
+    )
 
 
 def run(scenario: Path, seed: int, *options: str) -> Run:
     """Solves a scenario and verifies the plan."""
     with tempfile.TemporaryDirectory() as folder:
-        seconds, complaint = climber("solve", str(scenario), "--seed", str(seed), "--out", folder, "--json", *options)
+        solve = ("solve", str(scenario), "--seed", str(seed), "--out", folder, "--json", *options)
+        seconds, busy, complaint = climber(*solve)
         if complaint:
-            return Run(seconds, float("nan"), f"solve: {complaint}")
+            return Run(seconds, busy, float("nan"), f"solve: {complaint}")
         file = Path(folder) / "plan.json"
-        verify_seconds, complaint = climber("verify", str(file), "--json")
+        verify_seconds, _, complaint = climber("verify", str(file), "--json")
         plan = Plan.load(file)
     return Run(
         seconds=seconds,
+        busy=busy,
         verify_seconds=verify_seconds,
         complaint=f"verify: {complaint}" if complaint else "",
         moves=sum(robot.moves for robot in plan.robots),
@@ -111,7 +126,7 @@ def run(scenario: Path, seed: int, *options: str) -> Run:
     )
 
 
-def report(name: str, runs: Sequence[Run], note: str = "") -> None:
+def report(name: str, runs: Sequence[Run]) -> None:
     """Prints the rows of a scenario."""
     good = [run for run in runs if not run.complaint]
     thesis, target = THESIS.get(name), TARGET_SECONDS.get(name)
@@ -120,7 +135,9 @@ def report(name: str, runs: Sequence[Run], note: str = "") -> None:
         Row(what, None, "s", target, note=runs[0].complaint).show()
         return
     middle = statistics.median(run.seconds for run in good)
-    told = f"worst {max(run.seconds for run in good):.1f} s; {len(good)} of {len(runs)} seeds solved and verified{note}"
+    busy = statistics.median(run.busy for run in good)
+    worst = max(run.seconds for run in good)
+    told = f"worst {worst:.1f} s, {busy:.1f} s of processor; {len(good)} of {len(runs)} seeds solved and verified"
     beside = f"; thesis {thesis.seconds:.0f} s for the motion alone" if thesis else ""
     Row(what, middle, "s", target, note=told + beside).show()
     moves = sorted({run.moves for run in good})
@@ -143,18 +160,16 @@ def main() -> None:
         names, seeds = [name for name in names if name in TARGET_SECONDS], seeds[:1]
     good = True
     for name in names:
-        print(f"{name}: {'seed':>4s} {'solve':>8s} {'verify':>8s} {'moves':>5s} {'cuts':>4s} {'length':>7s}  duration")
+        print(f"{name}:", *(f"{head:>8s}" for head in ("seed", "solve", "busy", "verify", "moves", "cuts", "length")))
         runs = []
         # One seed is enough of what has no target here.
         for seed in seeds if name in TARGET_SECONDS else seeds[:1]:
             runs.append(run(scenario_file(name), seed))
             last = runs[-1]
-            print(
-                f"{'':{len(name)}s}  {seed:4d} {last.seconds:6.2f} s {last.verify_seconds:6.2f} s {last.moves:5d} "
-                f"{last.cuts:4d} {last.length:7.2f}  {last.duration:.1f} s  "
-                + (last.complaint or ", ".join(f"{stage} {seconds:.2f}" for stage, seconds in last.timings)),
-                flush=True,
-            )
+            columns = [f"{last.seconds:6.2f} s", f"{last.busy:6.2f} s", f"{last.verify_seconds:6.2f} s"]
+            columns = [str(seed), *columns, str(last.moves), str(last.cuts), f"{last.length:.2f}"]
+            told = last.complaint or ", ".join(f"{stage} {seconds:.2f}" for stage, seconds in last.timings)
+            print(" " * len(name) + " ", *(f"{column:>8s}" for column in columns), f" {told}", flush=True)
             good &= not last.complaint
         report(name, runs)
     sys.exit(not good)
