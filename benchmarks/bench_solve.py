@@ -61,7 +61,6 @@ class Run:
         moves: Moves of all robots.
         cuts: Moves given up on the way.
         length: Length of the motion in joint space.
-        duration: Duration of the motion [s].
         timings: Seconds by stage, as the plan records them.
     """
 
@@ -72,7 +71,6 @@ class Run:
     moves: int = 0
     cuts: int = 0
     length: float = 0.0
-    duration: float = 0.0
     timings: tuple[tuple[str, float], ...] = ()
 
 
@@ -121,7 +119,6 @@ def run(scenario: Path, seed: int, *options: str) -> Run:
         moves=sum(robot.moves for robot in plan.robots),
         cuts=sum(len(robot.cuts) for robot in plan.robots),
         length=path_length(plan),
-        duration=max(robot.duration for robot in plan.robots),
         timings=tuple(plan.timings.items()),
     )
 
