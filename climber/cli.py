@@ -1,4 +1,4 @@
-"""The command line: `climber solve | verify | draw | robot | wall`.
+"""The command line: `climber solve | verify | draw | explain | robot | wall`.
 
 Exit codes: 0 all is well, 1 the answer is no (no climb found, a check failed), 2 the input is at fault.
 """
@@ -47,6 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     from climber import __version__
+    from climber.explain_command import add_explain_command
     from climber.wall_command import add_wall_command
 
     parser = argparse.ArgumentParser(prog="climber", description="Plans free climbs of multi-limbed robots.")
@@ -74,9 +75,10 @@ def _parser() -> argparse.ArgumentParser:
     robot.add_argument("model", help="URDF or SDF file, or package://climber/...")
     robot.set_defaults(run=_robot)
 
+    explain = add_explain_command(commands)
     wall = add_wall_command(commands)
 
-    for command in (solve, verify, draw, robot, wall):
+    for command in (solve, verify, draw, robot, explain, wall):
         command.add_argument("--json", action="store_true", help="print the result as JSON")
     return parser
 

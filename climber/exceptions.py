@@ -5,6 +5,10 @@ from __future__ import annotations
 import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from climber.stance import Move
 
 
 class ClimberError(Exception):
@@ -77,6 +81,7 @@ class NoPlanFound(ClimberError):
     Attributes:
         proved: True when it is proved that no plan exists on this model; False when a budget ran out first.
         cuts: The moves given up on, each with its reason, in the order they were cut.
+        removed: For each cut, all moves that were given up for the same reason.
         counts: Counts of each stage up to here.
     """
 
@@ -86,9 +91,11 @@ class NoPlanFound(ClimberError):
         *,
         proved: bool,
         cuts: Sequence[object] = (),
+        removed: Sequence[Sequence[Move]] = (),
         counts: Mapping[str, int] | None = None,
     ) -> None:
         super().__init__(message)
         self.proved = proved
         self.cuts = tuple(cuts)
+        self.removed = tuple(tuple(moves) for moves in removed)
         self.counts = dict(counts or {})

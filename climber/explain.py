@@ -1,0 +1,279 @@
+"""Why not? What keeps a scenario from having a climb, in sentences and as data.
+
+Everything is said of the *stance graph* first, whose checks are relaxed: what cannot be reached on it is proved
+impossible, with feet at the middles of their patches. If the planner was asked and gave moves up, the graph less those
+moves is looked at as well, and what it *proved* is kept apart from what it merely *found no motion* for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from climber import changes as changing
+from climber import frontier as fronts
+from climber.changes import Change, ChangeFinder, Changes
+from climber.exceptions import NoPlanFound
+from climber.explanation import Answer, Explanation, Missing
+from climber.frontier import Frontier, FrontierFinder
+from climber.graph import StanceGraph
+from climber.plan_file import Cut
+from climber.reachable import UNREACHED, Reached, RelaxedClimb, Target
+from climber.relaxed import Check, RelaxedChecks
+from climber.scenario import Scenario
+from climber.scenario_fields import HoldSpec
+from climber.stance import Move, Stance
+from climber.words import length, listed
+
+Planner = Callable[[Scenario, float], bool]  # whether a scenario has a plan, with so many seconds to find it
+SECONDS = 10.0  # [s] for trying changes, unless told
+
+
+def explain_climb(
+    scenario: Scenario,
+    robot: int = 0,
+    *,
+    failure: NoPlanFound | None = None,
+    seconds: float = SECONDS,
+    planner: Planner | None = None,
+) -> Explanation:
+    """Explains why a scenario has no climb, or says that it has one on the stance graph.
+
+    Args:
+        scenario: The scenario.
+        robot: Which of its robots, looked at alone.
+        failure: The planner's answer, if it was asked.
+        seconds: For trying what change would make a climb [s]; 0 tries nothing.
+        planner: Tries to plan what a change makes possible on the stance graph; not asked if not given.
+
+    Raises:
+        ScenarioError: If the scenario does not fit the robot.
+        ModelError: If the robot's model cannot be planned for.
+    """
+    climb = RelaxedClimb.of(scenario, robot)
+    told = _Told(scenario, robot, climb, seconds, planner)
+    if (fault := told.start_fault()) is not None:
+        return told.unstartable(fault)
+    graph = climb.graph()
+    reached = climb.reached(graph)
+    if reached.moves is None:
+        return told.no_climb(FrontierFinder(climb, reached), "no climb")
+    cuts = () if failure is None else tuple(cut for cut in failure.cuts if isinstance(cut, Cut))
+    if failure is None:
+        return told.climb_exists(reached, graph)
+    barred = _barred_edges(graph, cuts, failure.removed, climb.robot.limb_names)
+    for answer, kinds in (("no climb", {"proved"}), ("no motion found", {"proved", "budget"})):
+        held_back = {edge: cut for edge, cut in barred.items() if cut.kind in kinds}
+        mask = np.zeros(graph.num_edges, dtype=bool)
+        mask[list(held_back)] = True
+        less = climb.reached(graph, mask)
+        if less.moves is None:
+            finder = FrontierFinder(climb, less, held_back)
+            verdict: Answer = "no climb" if answer == "no climb" else "no motion found"
+            return replace(told.no_climb(finder, verdict, reached.moves), cuts=cuts)
+    return replace(told.climb_exists(reached, graph, failure), cuts=cuts)
+
+
+def ask(scenario: Scenario, robot: int, seconds: float) -> Explanation:
+    """`explain_climb` with the planner asked: for the climb itself, and for what changes make possible.
+
+    Args:
+        scenario: The scenario.
+        robot: Which of its robots is explained if there is no plan.
+        seconds: For trying changes, and for each plan [s].
+
+    Raises:
+        ClimberError: As `plan_climb`, but for `NoPlanFound`.
+    """
+    from climber.plan import plan_climb  # which explains what it does not find
+
+    def planner(changed: Scenario, limit: float) -> bool:
+        try:
+            plan_climb(changed, time_limit=limit)
+        except NoPlanFound:
+            return False
+        return True
+
+    try:
+        plan = plan_climb(scenario, time_limit=seconds)
+    except NoPlanFound as failure:
+        return explain_climb(scenario, robot, failure=failure, seconds=seconds, planner=planner)
+    told = explain_climb(scenario, robot)
+    found = plan.robots[robot]
+    line = f"The planner finds the whole climb: {found.moves} moves, {found.duration:.1f} s of motion."
+    return replace(told, planned=True, sentences=(told.sentences[0], line))
+
+
+def _barred_edges(
+    graph: StanceGraph, cuts: Sequence[Cut], removed: Sequence[Sequence[Move]], limbs: Sequence[str]
+) -> dict[int, Cut]:
+    """The edges that were given up, each with the first reason; of those with several, a proof comes first."""
+    barred: dict[int, Cut] = {}
+    for number, cut in enumerate(cuts):
+        moves = list(removed[number]) if number < len(removed) else []
+        named = Move(Stance(tuple(cut.stance[limb] for limb in limbs)), list(limbs).index(cut.limb), cut.hold)
+        for move in [*moves, named]:
+            try:
+                edge = graph.edge(graph.vertex(move.start), graph.vertex(move.end))
+            except KeyError:  # no edge of this graph to begin with
+                continue
+            if edge not in barred or (cut.kind == "proved" and barred[edge].kind == "budget"):
+                barred[edge] = cut
+    return barred
+
+
+@dataclass
+class _Told:
+    """Makes explanations of one climb."""
+
+    scenario: Scenario
+    index: int
+    climb: RelaxedClimb
+    seconds: float
+    planner: Planner | None
+
+    def __post_init__(self) -> None:
+        self.name, self.limbs = self.scenario.robots[self.index].name, self.climb.robot.limb_names
+        others = len(self.scenario.robots) - 1
+        self.alone = [f"{self.name} is looked at alone, as if nobody else were on the wall."] if others else []
+
+    def start_fault(self) -> Check | None:
+        checks = RelaxedChecks(self.climb.wall, self.climb.robot, self.limbs, self.climb.avoid)
+        return checks.first_failure(checks.of_stance(self.climb.start, "the start stance"))
+
+    def unstartable(self, fault: Check) -> Explanation:
+        first = f"There is no climb: the robot cannot even stand on its start. {_sentence(fault.sentence)}"
+        changes = None
+        lines = [first, *self.alone]
+        if fault.name == "support" and self.seconds > 0:
+            alone = Frontier(0, (), self.climb.start.holds[0], (self.climb.start,), (0.0,), ())
+            changes = self._finder().find(alone, self.climb.goal, places=False)
+            lines += changing.told(changes)
+        return Explanation("no climb", self.name, self.limbs, None, fault, changes=changes, sentences=tuple(lines))
+
+    def climb_exists(self, reached: Reached, graph: StanceGraph, failure: NoPlanFound | None = None) -> Explanation:
+        moves = reached.moves
+        lines = [
+            f"There is a climb of {moves} move{'s' if moves != 1 else ''} on the stance graph ({graph.num_vertices} "
+            f"stances, {graph.num_edges} moves)."
+        ]
+        if failure is None:
+            lines.append("The graph's checks are relaxed: whether its moves have motions, `climber solve` finds out.")
+        else:
+            lines.append(f"The planner gave up before it had tried all there is: {_sentence(str(failure))}")
+        return Explanation("climb", self.name, self.limbs, moves, sentences=(*lines, *self.alone))
+
+    def no_climb(self, finder: FrontierFinder, answer: Answer, moves: int | None = None) -> Explanation:
+        reached = finder.reached
+        # From the start itself; whatever cannot be reached so cannot be reached by way of a waypoint either.
+        missed = [t for t in self.climb.targets if (reached.distance[t.vertices(reached.graph)] == UNREACHED).all()]
+        lines = [self._verdict(answer, missed, moves), *self.alone]
+        missing = None
+        # If each target can be reached and only not all in a row, the goal is what comes last.
+        target = missed[0] if missed else self.climb.goal
+        if missed:
+            missing = self._what_is_missing(finder, target)
+            lines += _missing_told(missing, self.limbs)
+        frontier = finder.find(target)
+        # A goal that is impossible by itself is no more possible for being nearer.
+        possible = missing is None or missing.check is None
+        lines += fronts.told(frontier, target, self.limbs, onwards=possible)
+        changes = None
+        if self.seconds > 0 and moves is None:
+            # If the trouble is with the very holds asked for, other holds do not matter.
+            changes = self._planned(self._finder().find(frontier, target, places=possible))
+            lines += changing.told(changes)
+        return Explanation(
+            answer, self.name, self.limbs, moves, None, missing, frontier, changes, sentences=tuple(lines)
+        )
+
+    def _verdict(self, answer: Answer, missed: Sequence[Target], moves: int | None) -> str:
+        if missed:
+            what = f"{listed([_called(target) for target in missed])} cannot be reached"
+        else:
+            order = " in the given order" if self.climb.in_order else ""
+            what = (
+                f"every waypoint and the goal can be reached from the start, but no one walk visits them all{order} "
+                "and ends in the goal, for not every move can be undone"
+            )
+        if answer == "no motion found":
+            return (
+                f"No motion was found for any climb, which does not prove that there is none: the stance graph has a "
+                f"climb of {moves} moves, but less the moves that were given up, {what}."
+            )
+        if moves is None:
+            return f"There is no climb: {what} on the stance graph. (Proved, for feet at the middles of their patches.)"
+        return (
+            f"There is no climb: the stance graph has one of {moves} moves, but less the moves that were proved "
+            f"impossible {what}."
+        )
+
+    def _what_is_missing(self, finder: FrontierFinder, target: Target) -> Missing:
+        check = finder.standing(target)
+        demanded, region_alone = target.demanded, not target.demanded
+        never = tuple(hold for hold in sorted(demanded) if hold not in finder.reached.holds)
+        return Missing(
+            target=target,
+            check=check,
+            never_held=never,
+            most_held=finder.most_held(target) if demanded else None,
+            region_lacking=finder.region_lacking(target) if region_alone else None,
+            no_way_in=finder.no_way_in(target) if demanded and check is None else None,
+        )
+
+    def _finder(self) -> ChangeFinder:
+        new_hold = HoldSpec(position=[0.0, 0.0], normal=[0.0, 1.0]).build(self.scenario.wall.hold_defaults)
+        return ChangeFinder(self.climb, new_hold, np.random.default_rng(self.scenario.seed), self.seconds)
+
+    def _planned(self, changes: Changes) -> Changes:
+        """The changes, the best of each kind put to the planner."""
+        if self.planner is None:
+            return changes
+        friction = list(changes.friction)
+        if friction:
+            best = min(range(len(friction)), key=lambda i: (len(friction[i].holds), friction[i].moves, i))
+            friction[best] = self._asked(friction[best])
+        hold = None if changes.hold is None else self._asked(changes.hold)
+        return replace(changes, friction=tuple(friction), hold=hold)
+
+    def _asked(self, change: Change) -> Change:
+        assert self.planner is not None
+        return replace(change, planned=self.planner(change.on_scenario(self.scenario), self.seconds))
+
+
+def _missing_told(missing: Missing, limbs: Sequence[str]) -> list[str]:
+    target, lines = missing.target, []
+    if missing.check is not None:
+        lines.append(f"It could not be stood on wherever one came from: {missing.check.sentence}.")
+    if missing.never_held:
+        lines.append(f"No reached stance stands on {listed([f'hold {hold}' for hold in missing.never_held])}.")
+    elif missing.most_held is not None:
+        number, stance = missing.most_held
+        on = listed([f"hold {hold}" for hold in stance.holds])
+        if number == len(target.demanded):
+            lines.append(f"All of its holds are reached at once, but not as asked for: on {on}.")
+        else:
+            lines.append(f"Every one of its holds is reached, but at most {number} at once, on {on}.")
+    if missing.no_way_in is not None:
+        miss = missing.no_way_in.sentence(tuple(limbs))
+        lines.append(f"No move at all leads into {target.name}; the nearest miss: {miss}.")
+    if missing.region_lacking is not None:
+        by, stance = missing.region_lacking
+        on = listed([f"hold {hold}" for hold in stance.holds])
+        lines.append(
+            f"Of all reached stances the one on {on} comes nearest: its limbs are {length(by)} too short for the "
+            "pelvis to be in the region."
+        )
+    return lines
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
+
+
+def _called(target: Target) -> str:
+    if target.demanded:
+        return f"{target.name} ({listed([f'hold {hold}' for hold in sorted(target.demanded)])})"
+    return f"the region of {target.name}"

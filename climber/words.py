@@ -1,0 +1,43 @@
+"""Numbers and names as a person would say them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from climber.stance import Vector
+
+_HEADINGS = ("right", "up and right", "up", "up and left", "left", "down and left", "down", "down and right")
+
+
+def spoken(name: str) -> str:
+    """A limb's name in a sentence."""
+    return name.replace("_", " ")
+
+
+def listed(items: Sequence[str]) -> str:
+    """`a, b and c`; what is said of holds one after the other shortens to `holds 1, 2 and 3`."""
+    if len(items) > 1 and all(item.startswith("hold ") for item in items):
+        return "holds " + listed([item.removeprefix("hold ") for item in items])
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}" if items else "nothing"
+
+
+def length(metres: float) -> str:
+    """A length to three digits, in the unit that suits it."""
+    size = abs(metres)
+    if size >= 1.0:
+        return f"{metres:.2f} m"
+    if size >= 0.01:
+        return f"{100 * metres:.1f} cm"
+    return f"{1000 * metres:.2g} mm" if size >= 1e-7 else "0 mm"
+
+
+def force(newtons: float) -> str:
+    """A force to about three digits."""
+    return f"{newtons:.2f} N" if abs(newtons) >= 0.1 else f"{newtons:.2g} N"
+
+
+def heading(direction: Vector) -> str:
+    """Which way a vector in the wall plane points, to the nearest of eight."""
+    eighth = round(math.atan2(direction[1], direction[0]) / (math.pi / 4))
+    return _HEADINGS[eighth % 8]
