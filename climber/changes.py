@@ -1,7 +1,7 @@
 """What little change would make a climb of a wall that has none: a better grip, or one hold more.
 
-Every change told of was tried: the stance graph of the changed wall was built anew and has the climb. Like all that
-the graph says, that is relaxed; `planned` tells of those whose climb the planner then really found.
+Every change told of was tried: the stance graph of the changed wall was built anew and has the climb, without the moves
+that are proved impossible. Like all that the graph says, that is relaxed; `planned` tells of those whose climb the planner then really found.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Change:
 
     Attributes:
         kind: "friction" if the friction of `holds` is raised, "hold" if `added` joins the wall.
-        moves: Fewest moves of the climb on the changed wall's stance graph.
+        moves: Fewest moves of the climb on the changed wall's stance graph, less those proved impossible.
         holds: Whose friction is raised; the number of the hold that is added.
         added: The hold that is added.
         planned: Whether the planner then found the whole climb; None if it was not asked.
@@ -156,10 +156,15 @@ class ChangeFinder:
         return replace(friction, hold=best, places_good=good, places_tried=tried)
 
     def _moves(self, wall: Wall) -> int | None:
+        """Fewest moves on a changed wall; None if there is no climb, or what is proved impossible leaves none."""
+        climb = self.climb.on(wall)
         try:
-            return self.climb.on(wall).reached().moves
+            graph = climb.graph()
         except ClimberError:  # the start itself fails
             return None
+        if climb.reached(graph).moves is None:
+            return None
+        return climb.reached(graph, climb.impossible(graph)).moves
 
     def _late(self) -> bool:
         return clock.perf_counter() > self._until

@@ -7,7 +7,7 @@ moves is looked at as well, and what it *proved* is kept apart from what it mere
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,9 +17,11 @@ from climber import frontier as fronts
 from climber.changes import Change, ChangeFinder, Changes
 from climber.exceptions import NoPlanFound
 from climber.explanation import Answer, Explanation, Missing
-from climber.frontier import Frontier, FrontierFinder
+from climber.frontier import Frontier, FrontierFinder, GivenUp
+from climber.geometry import Mask
 from climber.graph import StanceGraph
 from climber.plan_file import Cut
+from climber.prune import out_of_reach
 from climber.reachable import UNREACHED, Reached, RelaxedClimb, Target
 from climber.relaxed import Check, RelaxedChecks
 from climber.scenario import Scenario
@@ -60,20 +62,45 @@ def explain_climb(
     reached = climb.reached(graph)
     if reached.moves is None:
         return told.no_climb(FrontierFinder(climb, reached), "no climb")
-    cuts = () if failure is None else tuple(cut for cut in failure.cuts if isinstance(cut, Cut))
+    barred = _proved_away(climb, graph)
+    less = climb.reached(graph, _mask(graph, barred))
+    if less.moves is None:
+        return told.no_climb(FrontierFinder(climb, less, barred), "no climb", reached.moves, change=True)
     if failure is None:
-        return told.climb_exists(reached, graph)
-    barred = _barred_edges(graph, cuts, failure.removed, climb.robot.limb_names)
-    for answer, kinds in (("no climb", {"proved"}), ("no motion found", {"proved", "budget"})):
-        held_back = {edge: cut for edge, cut in barred.items() if cut.kind in kinds}
-        mask = np.zeros(graph.num_edges, dtype=bool)
-        mask[list(held_back)] = True
-        less = climb.reached(graph, mask)
-        if less.moves is None:
-            finder = FrontierFinder(climb, less, held_back)
-            verdict: Answer = "no climb" if answer == "no climb" else "no motion found"
-            return replace(told.no_climb(finder, verdict, reached.moves), cuts=cuts)
-    return replace(told.climb_exists(reached, graph, failure), cuts=cuts)
+        return told.climb_exists(less, reached.moves)
+    cuts = tuple(cut for cut in failure.cuts if isinstance(cut, Cut))
+    given_up = _given_up(graph, cuts, failure.removed, climb.robot.limb_names)
+    answers: tuple[tuple[Answer, set[str]], ...] = (
+        ("no climb", {"proved"}),
+        ("no motion found", {"proved", "budget"}),
+    )
+    for answer, kinds in answers:
+        held_back = {edge: why for edge, why in given_up.items() if why.kind in kinds} | barred
+        last = climb.reached(graph, _mask(graph, held_back))
+        if last.moves is None:
+            finder = FrontierFinder(climb, last, held_back)
+            return replace(told.no_climb(finder, answer, reached.moves), cuts=cuts)
+    return replace(told.climb_exists(less, reached.moves, failure), cuts=cuts)
+
+
+def _mask(graph: StanceGraph, barred: Mapping[int, GivenUp]) -> Mask:
+    mask = np.zeros(graph.num_edges, dtype=bool)
+    mask[list(barred)] = True
+    return mask
+
+
+def _proved_away(climb: RelaxedClimb, graph: StanceGraph) -> dict[int, GivenUp]:
+    """The edges that `climber.prune` proves impossible, and why."""
+    edges = np.flatnonzero(climb.impossible(graph))
+    far = out_of_reach(climb.robot, climb.wall, graph.stances)
+    reach = "at no angle of the pelvis do all limbs reach their holds in the stance that it {}"
+    starts, ends = (GivenUp("proved", "transition", reach.format(verb)) for verb in ("starts in", "ends in"))
+    reason = "at no angle of the pelvis is the centre of mass held up as the limb lets go, or as it takes hold"
+    unbalanced = GivenUp("proved", "transition", reason)
+    return {
+        edge: ends if far[graph.head[edge]] else starts if far[graph.tail[edge]] else unbalanced
+        for edge in edges.tolist()
+    }
 
 
 def ask(scenario: Scenario, robot: int, seconds: float) -> Explanation:
@@ -100,28 +127,28 @@ def ask(scenario: Scenario, robot: int, seconds: float) -> Explanation:
         plan = plan_climb(scenario, time_limit=seconds)
     except NoPlanFound as failure:
         return explain_climb(scenario, robot, failure=failure, seconds=seconds, planner=planner)
-    told = explain_climb(scenario, robot)
+    told = explain_climb(scenario, robot, seconds=0.0)
     found = plan.robots[robot]
     line = f"The planner finds the whole climb: {found.moves} moves, {found.duration:.1f} s of motion."
     return replace(told, planned=True, sentences=(told.sentences[0], line))
 
 
-def _barred_edges(
+def _given_up(
     graph: StanceGraph, cuts: Sequence[Cut], removed: Sequence[Sequence[Move]], limbs: Sequence[str]
-) -> dict[int, Cut]:
-    """The edges that were given up, each with the first reason; of those with several, a proof comes first."""
-    barred: dict[int, Cut] = {}
+) -> dict[int, GivenUp]:
+    """The edges that the planner gave up, each with the first reason; of those with several, a proof comes first."""
+    given_up: dict[int, GivenUp] = {}
     for number, cut in enumerate(cuts):
-        moves = list(removed[number]) if number < len(removed) else []
+        why = GivenUp(cut.kind, cut.stage, cut.reason)
         named = Move(Stance(tuple(cut.stance[limb] for limb in limbs)), list(limbs).index(cut.limb), cut.hold)
-        for move in [*moves, named]:
+        for move in [named, *(removed[number] if number < len(removed) else ())]:
             try:
                 edge = graph.edge(graph.vertex(move.start), graph.vertex(move.end))
             except KeyError:  # no edge of this graph to begin with
                 continue
-            if edge not in barred or (cut.kind == "proved" and barred[edge].kind == "budget"):
-                barred[edge] = cut
-    return barred
+            if edge not in given_up or (why.kind == "proved" and given_up[edge].kind == "budget"):
+                given_up[edge] = why
+    return given_up
 
 
 @dataclass
@@ -151,21 +178,29 @@ class _Told:
             alone = Frontier(0, (), self.climb.start.holds[0], (self.climb.start,), (0.0,), ())
             changes = self._finder().find(alone, self.climb.goal, places=False)
             lines += changing.told(changes)
-        return Explanation("no climb", self.name, self.limbs, None, fault, changes=changes, sentences=tuple(lines))
+        return Explanation(
+            "no climb", self.name, self.limbs, None, start=fault, changes=changes, sentences=tuple(lines)
+        )
 
-    def climb_exists(self, reached: Reached, graph: StanceGraph, failure: NoPlanFound | None = None) -> Explanation:
-        moves = reached.moves
+    def climb_exists(self, less: Reached, moves: int, failure: NoPlanFound | None = None) -> Explanation:
+        graph = less.graph
         lines = [
-            f"There is a climb of {moves} move{'s' if moves != 1 else ''} on the stance graph ({graph.num_vertices} "
-            f"stances, {graph.num_edges} moves)."
+            f"There is a climb of {moves} moves on the stance graph ({graph.num_vertices} stances, {graph.num_edges} moves)."
         ]
+        if less.moves != moves:
+            lines.append(f"Less the moves that are proved impossible, the shortest has {less.moves}.")
         if failure is None:
             lines.append("The graph's checks are relaxed: whether its moves have motions, `climber solve` finds out.")
         else:
             lines.append(f"The planner gave up before it had tried all there is: {_sentence(str(failure))}")
-        return Explanation("climb", self.name, self.limbs, moves, sentences=(*lines, *self.alone))
+        return Explanation(
+            "climb", self.name, self.limbs, moves, moves_possible=less.moves, sentences=(*lines, *self.alone)
+        )
 
-    def no_climb(self, finder: FrontierFinder, answer: Answer, moves: int | None = None) -> Explanation:
+    def no_climb(
+        self, finder: FrontierFinder, answer: Answer, moves: int | None = None, change: bool = False
+    ) -> Explanation:
+        """There is none on what can be reached; `moves` is what the stance graph alone has."""
         reached = finder.reached
         # From the start itself; whatever cannot be reached so cannot be reached by way of a waypoint either.
         missed = [t for t in self.climb.targets if (reached.distance[t.vertices(reached.graph)] == UNREACHED).all()]
@@ -181,12 +216,19 @@ class _Told:
         possible = missing is None or missing.check is None
         lines += fronts.told(frontier, target, self.limbs, onwards=possible)
         changes = None
-        if self.seconds > 0 and moves is None:
+        if self.seconds > 0 and (moves is None or change):
             # If the trouble is with the very holds asked for, other holds do not matter.
             changes = self._planned(self._finder().find(frontier, target, places=possible))
             lines += changing.told(changes)
         return Explanation(
-            answer, self.name, self.limbs, moves, None, missing, frontier, changes, sentences=tuple(lines)
+            answer,
+            self.name,
+            self.limbs,
+            moves,
+            missing=missing,
+            frontier=frontier,
+            changes=changes,
+            sentences=tuple(lines),
         )
 
     def _verdict(self, answer: Answer, missed: Sequence[Target], moves: int | None) -> str:

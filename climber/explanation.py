@@ -47,6 +47,7 @@ class Explanation:
         robot: Name of the robot, looked at alone.
         limbs: Its limbs.
         moves: Fewest moves of the climb on the stance graph, before anything was given up; None if it has none.
+        moves_possible: Likewise, less the moves that are proved impossible all the same.
         start: The check that the start stance fails; None if it passes.
         missing: What cannot be reached; None if there is a climb, or each target can be reached but not all in a row.
         frontier: How far one gets.
@@ -60,6 +61,7 @@ class Explanation:
     robot: str
     limbs: tuple[str, ...]
     moves: int | None
+    moves_possible: int | None = None
     start: Check | None = None
     missing: Missing | None = None
     frontier: Frontier | None = None
@@ -81,6 +83,7 @@ class Explanation:
             "relative_to": "the stance graph, feet at the middles of their patches",
             "robot": self.robot,
             "moves": self.moves,
+            "moves_possible": self.moves_possible,
             "planned": self.planned,
             "sentences": list(self.sentences),
             "cuts": {kind: sum(cut.kind == kind for cut in self.cuts) for kind in ("proved", "budget")},

@@ -11,7 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from climber.geometry import TOUCH, disks_meet
-from climber.plan_file import Cut
+from climber.plan_file import CutKind, CutStage
 from climber.reachable import Reached, RelaxedClimb, Target
 from climber.relaxed import Check, RelaxedChecks, reach_lacking
 from climber.stance import Move, Stance, Vector
@@ -22,18 +22,33 @@ HOLDS = 6  # looked at for each limb of such a stance
 
 
 @dataclass(frozen=True)
+class GivenUp:
+    """Why a move that passes the relaxed checks is not to be used.
+
+    Attributes:
+        kind: "proved" if it is impossible, "budget" if no motion was found for it.
+        stage: The stage that found out.
+        reason: In words.
+    """
+
+    kind: CutKind
+    stage: CutStage
+    reason: str
+
+
+@dataclass(frozen=True)
 class Blocked:
     """A move that would lead on, and what is in its way.
 
     Attributes:
         move: The move, not possible.
         check: The first relaxed check that it fails; None if it passes all.
-        cut: Why the planner gave it up, if it passes all.
+        given_up: Why it is not to be used, if it passes all.
     """
 
     move: Move
     check: Check | None
-    cut: Cut | None = None
+    given_up: GivenUp | None = None
 
     def sentence(self, limbs: tuple[str, ...]) -> str:
         """The move and its trouble in words."""
@@ -41,9 +56,9 @@ class Blocked:
         what = f"{name} from hold {self.move.released} to hold {self.move.hold}, standing on {_on(self.move.start)}"
         if self.check is not None:
             return f"{what}: {self.check.sentence}"
-        assert self.cut is not None
-        how = "proved impossible" if self.cut.kind == "proved" else "no motion found in the budget"
-        return f"{what}: {how} ({self.cut.reason})"
+        assert self.given_up is not None
+        how = "proved impossible" if self.given_up.kind == "proved" else "no motion found in the budget"
+        return f"{what}: {how} ({self.given_up.reason})"
 
     def to_dict(self, limbs: tuple[str, ...]) -> dict[str, Any]:
         """As JSON has it."""
@@ -56,8 +71,9 @@ class Blocked:
         }
         if self.check is not None:
             return facts | {"kind": "proved", "stage": "graph", "why": self.check.to_dict()}
-        assert self.cut is not None
-        return facts | {"kind": self.cut.kind, "stage": self.cut.stage, "why": {"sentence": self.cut.reason}}
+        why = self.given_up
+        assert why is not None
+        return facts | {"kind": why.kind, "stage": why.stage, "why": {"sentence": why.reason}}
 
 
 @dataclass(frozen=True)
@@ -101,7 +117,7 @@ class FrontierFinder:
         barred: By edge of the graph, why it was given up; such edges are not used in `reached`.
     """
 
-    def __init__(self, climb: RelaxedClimb, reached: Reached, barred: Mapping[int, Cut] | None = None) -> None:
+    def __init__(self, climb: RelaxedClimb, reached: Reached, barred: Mapping[int, GivenUp] | None = None) -> None:
         self.climb, self.reached, self.barred = climb, reached, dict(barred or {})
         self.checks = RelaxedChecks(climb.wall, climb.robot, climb.robot.limb_names, climb.avoid)
         self.positions = climb.wall.positions[:, :2]
@@ -256,7 +272,8 @@ class FrontierFinder:
         """How near a blocked move is to being possible: its shortfall as a share of the reach or the weight."""
         check = blocked.check
         if check is None:  # it passes every relaxed check
-            return (0.0 if blocked.cut is not None and blocked.cut.kind == "budget" else 0.001), blocked.move
+            budget = blocked.given_up is not None and blocked.given_up.kind == "budget"
+            return (0.0 if budget else 0.001), blocked.move
         if not check.unit:
             return 1.0, blocked.move
         scale = float(np.mean(self.climb.robot.reach)) if check.unit == "m" else float(check.numbers["weight"])

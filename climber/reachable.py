@@ -18,6 +18,7 @@ from shapely.geometry.base import BaseGeometry
 from climber.geometry import Mask
 from climber.graph import StanceGraph, build_stance_graph
 from climber.holdsets import Ints
+from climber.prune import impossible_moves
 from climber.robot import Model, Robot
 from climber.scenario import Scenario, check_against_robot
 from climber.scenario_fields import CostWeights, Place
@@ -163,6 +164,13 @@ class RelaxedClimb:
             ClimberError: If the start itself fails a relaxed check.
         """
         return build_stance_graph(self.wall, self.robot, self.start, self.weights)
+
+    def impossible(self, graph: StanceGraph) -> Mask:
+        """The edges that are proved impossible though they pass the graph's checks, shape (E,); see `climber.prune`."""
+        mask = np.zeros(graph.num_edges, dtype=bool)
+        if graph.num_edges:
+            mask[impossible_moves(graph, self.robot, self.wall, self.goal.vertices(graph))] = True
+        return mask
 
     def reached(self, graph: StanceGraph | None = None, barred: Mask | None = None) -> Reached:
         """What can be reached, and the fewest moves of the climb.

@@ -307,10 +307,10 @@ def test_what_only_the_budget_speaks_against_is_never_called_proved() -> None:
     at_frontier = {stance.holds for stance in told.frontier.stances}
     expected = {cut.kind for cut in told.cuts if tuple(cut.stance.values()) in at_frontier}
     assert expected  # the goal's neighbours are as near to it as one gets
-    assert {blocked.to_dict(told.limbs)["kind"] for blocked in told.frontier.blocked if blocked.cut} == expected
+    assert {blocked.to_dict(told.limbs)["kind"] for blocked in told.frontier.blocked if blocked.given_up} == expected
     reasons = {cut.reason for cut in told.cuts}
     for blocked in told.frontier.blocked:
-        assert blocked.check is not None or (blocked.cut is not None and blocked.cut.reason in reasons)
+        assert blocked.check is not None or (blocked.given_up is not None and blocked.given_up.reason in reasons)
 
 
 def test_a_planner_that_stopped_early_leaves_a_climb_to_be_tried() -> None:
