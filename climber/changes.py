@@ -1,7 +1,8 @@
 """What little change would make a climb of a wall that has none: a better grip, or one hold more.
 
 Every change told of was tried: the stance graph of the changed wall was built anew and has the climb, without the moves
-that are proved impossible. Like all that the graph says, that is relaxed; `planned` tells of those whose climb the planner then really found.
+that are proved impossible. Like all that the graph says, that is relaxed; `planned` tells of those whose climb the
+planner then really found.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ import shapely
 from scipy.stats import qmc
 from shapely.geometry import MultiPoint, Point
 
+from climber.blocked import Frontier
 from climber.exceptions import ClimberError
-from climber.frontier import Frontier
 from climber.reachable import RelaxedClimb, Target
 from climber.scenario import Scenario
 from climber.scenario_fields import HoldSpec

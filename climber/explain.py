@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from climber import changes as changing
-from climber import frontier as fronts
+from climber import telling
+from climber.blocked import Frontier, GivenUp
 from climber.changes import Change, ChangeFinder, Changes
 from climber.exceptions import NoPlanFound
 from climber.explanation import Answer, Explanation, Missing
-from climber.frontier import Frontier, FrontierFinder, GivenUp
+from climber.frontier import FrontierFinder
 from climber.geometry import Mask
 from climber.graph import StanceGraph
 from climber.plan_file import Cut
@@ -27,7 +28,6 @@ from climber.relaxed import Check, RelaxedChecks
 from climber.scenario import Scenario
 from climber.scenario_fields import HoldSpec
 from climber.stance import Move, Stance
-from climber.words import length, listed
 
 Planner = Callable[[Scenario, float], bool]  # whether a scenario has a plan, with so many seconds to find it
 SECONDS = 10.0  # [s] for trying changes, unless told
@@ -171,7 +171,7 @@ class _Told:
         return checks.first_failure(checks.of_stance(self.climb.start, "the start stance"))
 
     def unstartable(self, fault: Check) -> Explanation:
-        first = f"There is no climb: the robot cannot even stand on its start. {_sentence(fault.sentence)}"
+        first = f"There is no climb: the robot cannot even stand on its start. {telling.sentence(fault.sentence)}"
         changes = None
         lines = [first, *self.alone]
         if fault.name == "support" and self.seconds > 0:
@@ -184,15 +184,14 @@ class _Told:
 
     def climb_exists(self, less: Reached, moves: int, failure: NoPlanFound | None = None) -> Explanation:
         graph = less.graph
-        lines = [
-            f"There is a climb of {moves} moves on the stance graph ({graph.num_vertices} stances, {graph.num_edges} moves)."
-        ]
+        size = f"{graph.num_vertices} stances, {graph.num_edges} moves"
+        lines = [f"There is a climb of {moves} moves on the stance graph ({size})."]
         if less.moves != moves:
             lines.append(f"Less the moves that are proved impossible, the shortest has {less.moves}.")
         if failure is None:
             lines.append("The graph's checks are relaxed: whether its moves have motions, `climber solve` finds out.")
         else:
-            lines.append(f"The planner gave up before it had tried all there is: {_sentence(str(failure))}")
+            lines.append(f"The planner gave up before it had tried all there is: {telling.sentence(str(failure))}")
         return Explanation(
             "climb", self.name, self.limbs, moves, moves_possible=less.moves, sentences=(*lines, *self.alone)
         )
@@ -204,17 +203,17 @@ class _Told:
         reached = finder.reached
         # From the start itself; whatever cannot be reached so cannot be reached by way of a waypoint either.
         missed = [t for t in self.climb.targets if (reached.distance[t.vertices(reached.graph)] == UNREACHED).all()]
-        lines = [self._verdict(answer, missed, moves), *self.alone]
+        lines = [telling.verdict(answer, missed, moves, self.climb.in_order), *self.alone]
         missing = None
         # If each target can be reached and only not all in a row, the goal is what comes last.
         target = missed[0] if missed else self.climb.goal
         if missed:
             missing = self._what_is_missing(finder, target)
-            lines += _missing_told(missing, self.limbs)
+            lines += telling.missing_told(missing, self.limbs)
         frontier = finder.find(target)
         # A goal that is impossible by itself is no more possible for being nearer.
         possible = missing is None or missing.check is None
-        lines += fronts.told(frontier, target, self.limbs, onwards=possible)
+        lines += telling.frontier_told(frontier, target, self.limbs, onwards=possible)
         changes = None
         if self.seconds > 0 and (moves is None or change):
             # If the trouble is with the very holds asked for, other holds do not matter.
@@ -229,27 +228,6 @@ class _Told:
             frontier=frontier,
             changes=changes,
             sentences=tuple(lines),
-        )
-
-    def _verdict(self, answer: Answer, missed: Sequence[Target], moves: int | None) -> str:
-        if missed:
-            what = f"{listed([_called(target) for target in missed])} cannot be reached"
-        else:
-            order = " in the given order" if self.climb.in_order else ""
-            what = (
-                f"every waypoint and the goal can be reached from the start, but no one walk visits them all{order} "
-                "and ends in the goal, for not every move can be undone"
-            )
-        if answer == "no motion found":
-            return (
-                f"No motion was found for any climb, which does not prove that there is none: the stance graph has a "
-                f"climb of {moves} moves, but less the moves that were given up, {what}."
-            )
-        if moves is None:
-            return f"There is no climb: {what} on the stance graph. (Proved, for feet at the middles of their patches.)"
-        return (
-            f"There is no climb: the stance graph has one of {moves} moves, but less the moves that were proved "
-            f"impossible {what}."
         )
 
     def _what_is_missing(self, finder: FrontierFinder, target: Target) -> Missing:
@@ -283,39 +261,3 @@ class _Told:
     def _asked(self, change: Change) -> Change:
         assert self.planner is not None
         return replace(change, planned=self.planner(change.on_scenario(self.scenario), self.seconds))
-
-
-def _missing_told(missing: Missing, limbs: Sequence[str]) -> list[str]:
-    target, lines = missing.target, []
-    if missing.check is not None:
-        lines.append(f"It could not be stood on wherever one came from: {missing.check.sentence}.")
-    if missing.never_held:
-        lines.append(f"No reached stance stands on {listed([f'hold {hold}' for hold in missing.never_held])}.")
-    elif missing.most_held is not None:
-        number, stance = missing.most_held
-        on = listed([f"hold {hold}" for hold in stance.holds])
-        if number == len(target.demanded):
-            lines.append(f"All of its holds are reached at once, but not as asked for: on {on}.")
-        else:
-            lines.append(f"Every one of its holds is reached, but at most {number} at once, on {on}.")
-    if missing.no_way_in is not None:
-        miss = missing.no_way_in.sentence(tuple(limbs))
-        lines.append(f"No move at all leads into {target.name}; the nearest miss: {miss}.")
-    if missing.region_lacking is not None:
-        by, stance = missing.region_lacking
-        on = listed([f"hold {hold}" for hold in stance.holds])
-        lines.append(
-            f"Of all reached stances the one on {on} comes nearest: its limbs are {length(by)} too short for the "
-            "pelvis to be in the region."
-        )
-    return lines
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
-
-
-def _called(target: Target) -> str:
-    if target.demanded:
-        return f"{target.name} ({listed([f'hold {hold}' for hold in sorted(target.demanded)])})"
-    return f"the region of {target.name}"

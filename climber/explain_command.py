@@ -20,16 +20,16 @@ def add_explain_command(commands: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = commands.add_parser(
         "explain",
         help="tell why a climb or a move is not possible",
-        description="Tells what keeps a scenario from having a climb, and what little change would make one; or, of one "
-        "move or stance, the first check that fails and by how much.",
+        description="Tells what keeps a scenario from having a climb, and what little change would make one; or, of "
+        "one move or stance, the first check that fails and by how much.",
     )
     parser.add_argument("scenario", help="scenario file, or the name of one that comes with climber, such as basic")
     parser.add_argument("--move", metavar="LIMB:FROM:TO", help="a move to explain, such as right_front:3:7")
     parser.add_argument(
         "--stance",
         metavar="HOLDS",
-        help="where it starts, hold,hold,... in limb order or limb=hold,limb=hold,...; by default the start, or else the "
-        "first stance from which the move can be asked about",
+        help="where it starts, hold,hold,... in limb order or limb=hold,limb=hold,...; by default the start, or else "
+        "the first stance from which the move can be asked about",
     )
     parser.add_argument("--robot", metavar="NAME", help="which robot of several; the first by default")
     parser.add_argument("--plan", action="store_true", help="ask the planner too: for the climb, and for each change")

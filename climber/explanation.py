@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from climber.blocked import Blocked, Frontier
 from climber.changes import Changes
-from climber.frontier import Blocked, Frontier
 from climber.plan_file import Cut
 from climber.reachable import Target
 from climber.relaxed import Check

@@ -3,99 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from climber.blocked import Blocked, Frontier, GivenUp, on_holds
 from climber.geometry import TOUCH, disks_meet
-from climber.plan_file import CutKind, CutStage
 from climber.reachable import Reached, RelaxedClimb, Target
 from climber.relaxed import Check, RelaxedChecks, reach_lacking
 from climber.stance import Move, Stance, Vector
-from climber.words import length, listed, spoken
 
 STANCES = 6  # of the frontier, from which moves onwards are looked at
 HOLDS = 6  # looked at for each limb of such a stance
-
-
-@dataclass(frozen=True)
-class GivenUp:
-    """Why a move that passes the relaxed checks is not to be used.
-
-    Attributes:
-        kind: "proved" if it is impossible, "budget" if no motion was found for it.
-        stage: The stage that found out.
-        reason: In words.
-    """
-
-    kind: CutKind
-    stage: CutStage
-    reason: str
-
-
-@dataclass(frozen=True)
-class Blocked:
-    """A move that would lead on, and what is in its way.
-
-    Attributes:
-        move: The move, not possible.
-        check: The first relaxed check that it fails; None if it passes all.
-        given_up: Why it is not to be used, if it passes all.
-    """
-
-    move: Move
-    check: Check | None
-    given_up: GivenUp | None = None
-
-    def sentence(self, limbs: tuple[str, ...]) -> str:
-        """The move and its trouble in words."""
-        name = spoken(limbs[self.move.limb])
-        what = f"{name} from hold {self.move.released} to hold {self.move.hold}, standing on {_on(self.move.start)}"
-        if self.check is not None:
-            return f"{what}: {self.check.sentence}"
-        assert self.given_up is not None
-        how = "proved impossible" if self.given_up.kind == "proved" else "no motion found in the budget"
-        return f"{what}: {how} ({self.given_up.reason})"
-
-    def to_dict(self, limbs: tuple[str, ...]) -> dict[str, Any]:
-        """As JSON has it."""
-        facts: dict[str, Any] = {
-            "stance": dict(zip(limbs, self.move.start.holds, strict=True)),
-            "limb": limbs[self.move.limb],
-            "from": self.move.released,
-            "to": self.move.hold,
-            "sentence": self.sentence(limbs),
-        }
-        if self.check is not None:
-            return facts | {"kind": "proved", "stage": "graph", "why": self.check.to_dict()}
-        why = self.given_up
-        assert why is not None
-        return facts | {"kind": why.kind, "stage": why.stage, "why": {"sentence": why.reason}}
-
-
-@dataclass(frozen=True)
-class Frontier:
-    """How far towards a target one gets.
-
-    Attributes:
-        reached: Number of stances that can be reached.
-        holds: The holds that they stand on, increasing.
-        farthest_hold: Of these the one nearest to the target.
-        stances: The reached stances nearest to the target, by the middle of their holds, nearest first, no two on the
-            same holds.
-        distances: How near they are [m].
-        blocked: Moves from these stances that would lead nearer but are not possible, the nearest misses first.
-    """
-
-    reached: int
-    holds: tuple[int, ...]
-    farthest_hold: int
-    stances: tuple[Stance, ...]
-    distances: tuple[float, ...]
-    blocked: tuple[Blocked, ...]
 
 
 def from_target(target: Target, positions: Vector, points: Vector) -> Vector:
@@ -134,7 +54,7 @@ class FrontierFinder:
         ways = [target.stance] if target.stance is not None else self._ways_round(target.demanded)
         failures = []
         for stance in ways:
-            subject = f"{target.name}, {_on(stance)}"
+            subject = f"{target.name}, {on_holds(stance)}"
             checks = list(self.checks.of_stance(stance, subject))
             if target.region is not None:
                 checks.append(self.checks.region(stance, target.region, subject))
@@ -185,7 +105,7 @@ class FrontierFinder:
             for limb in range(len(stance.holds)):
                 for hold in self._near(stance, limb, others):
                     before = stance.moved(limb, hold)
-                    subject = f"the stance before, {_on(before)}"
+                    subject = f"the stance before, {on_holds(before)}"
                     # Whether one could stand still on the stance before does not decide about the move.
                     checks = (check for check in self.checks.of_stance(before, subject) if check.name != "support")
                     move = Move(before, limb, stance.holds[limb])
@@ -278,37 +198,3 @@ class FrontierFinder:
             return 1.0, blocked.move
         scale = float(np.mean(self.climb.robot.reach)) if check.unit == "m" else float(check.numbers["weight"])
         return check.amount / scale, blocked.move
-
-
-def told(frontier: Frontier, target: Target, limbs: tuple[str, ...], onwards: bool = True, most: int = 3) -> list[str]:
-    """The frontier in sentences.
-
-    Args:
-        frontier: The frontier.
-        target: Towards what.
-        limbs: Names of the limbs.
-        onwards: Whether to tell what blocks the moves that would lead on.
-        most: How many of them at most, no two to the same hold.
-    """
-    on = _on(frontier.stances[0])
-    stances = f"{frontier.reached} stance{'s' if frontier.reached != 1 else ''}"
-    lines = [
-        f"From the start {stances} can be reached, on {len(frontier.holds)} holds; of these hold "
-        f"{frontier.farthest_hold} is the nearest to {target.name}.",
-        f"The reached stance nearest to {target.name} is on {on} ({listed([spoken(limb) for limb in limbs])}), its "
-        f"middle {length(frontier.distances[0])} away.",
-    ]
-    if not onwards:
-        return lines
-    if not frontier.blocked:
-        lines.append(f"From the stances nearest to {target.name} no hold that is left to take leads nearer.")
-    seen: set[int] = set()
-    for blocked in frontier.blocked:
-        if blocked.move.hold not in seen and len(seen) < most:
-            seen.add(blocked.move.hold)
-            lines.append(f"Onwards from there or nearby: {blocked.sentence(limbs)}.")
-    return lines
-
-
-def _on(stance: Stance) -> str:
-    return listed([f"hold {hold}" for hold in stance.holds])
