@@ -115,6 +115,9 @@ def _check_holds(scenario: Scenario) -> None:
             raise scenario.error(f"{path}.max_force", hold.max_force, f"at least min_force, {hold.min_force:g}")
         if spec.adhesion and hold.grip != "magnet":
             raise scenario.error(f"{path}.adhesion", spec.adhesion, f"0 on a hold of grip {hold.grip}; magnets adhere")
+        if spec.max_moment and hold.grip != "pin":
+            allowed = f"0 on a hold of grip {hold.grip}; grippers turn pins only"
+            raise scenario.error(f"{path}.max_moment", spec.max_moment, allowed)
 
 
 def _check_region(scenario: Scenario, region: RegionSpec, path: str) -> None:

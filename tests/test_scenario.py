@@ -127,6 +127,11 @@ def test_default_adhesion_is_of_magnets_only() -> None:
     assert [h.adhesion for h in wall.holds] == [0.0, 0.0, 0.0, 7.0, 0.0]
 
 
+def test_default_moment_is_of_pins_only() -> None:
+    wall = load(edited(("wall", "hold_defaults"), {"max_moment": 2.0})).build_wall()
+    assert [h.max_moment for h in wall.holds] == [0.0, 0.0, 2.0, 0.0, 0.0]
+
+
 def test_normals_are_normalised_and_positions_completed() -> None:
     wall = load(BASE).build_wall()
     np.testing.assert_allclose(np.linalg.norm(wall.normals, axis=1), 1.0, atol=1e-15)
@@ -293,6 +298,7 @@ REFUSED: dict[str, tuple[tuple[str | int, ...], object, str, str]] = {
     "negative half width": ((*HOLD, "half_width"), -0.1, "wall.holds[3].half_width", ">= 0"),
     "negative least force": ((*HOLD, "min_force"), -1, "wall.holds[3].min_force", ">= 0"),
     "zero greatest force": ((*HOLD, "max_force"), 0, "wall.holds[3].max_force", "> 0"),
+    "moment without a pin": ((*HOLD, "max_moment"), 1.0, "wall.holds[3].max_moment", "pins"),
     "negative adhesion": ((*HOLD, "adhesion"), -1, "wall.holds[3].adhesion", ">= 0"),
     "negative seed": (("seed",), -1, "seed", ">= 0"),
     "tilted back": (("wall", "inclination_deg"), -1.0, "wall.inclination_deg", ">= 0 and < 180"),
