@@ -233,6 +233,7 @@ class Team:
             samples=replace(samples, time=samples.time + begun),
             force=lengthened(phase.force),
             torque=lengthened(phase.torque),
+            moment=lengthened(phase.moment),
         )
 
 

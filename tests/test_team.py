@@ -47,8 +47,9 @@ def glide(start: Vector, end: Vector, duration: float, limb: int | None = None, 
     )
     samples = Samples(duration * tau, start + law[:, None] * way, rate[:, None] * way, bend[:, None] * way)
     contacts = tuple(c for c in ON_ALL if c.limb != limb)
-    force = np.random.default_rng(move).normal(size=(len(tau), len(contacts), 3))
-    return PhaseMotion(limb, move, contacts, samples, force, np.ones((len(tau), 8)))
+    rng = np.random.default_rng(move)
+    force, moment = rng.normal(size=(len(tau), len(contacts), 3)), rng.normal(size=(len(tau), len(contacts)))
+    return PhaseMotion(limb, move, contacts, samples, force, np.ones((len(tau), 8)), moment)
 
 
 def stepping(places: list[Vector], durations: list[float]) -> list[list[PhaseMotion]]:
@@ -158,6 +159,8 @@ def check_timeline(phases: tuple[PhaseMotion, ...], original: list[PhaseMotion])
         within = np.abs(motion.samples.v).max(axis=1) > 0
         np.testing.assert_allclose(phase.samples.q[moving], motion.samples.q[within])
         np.testing.assert_array_equal(phase.force[moving], motion.force[within])
+        np.testing.assert_array_equal(phase.moment[moving], motion.moment[within])
+        assert phase.moment.shape == (count, len(phase.contacts))
         at_rest = ~moving
         ends = np.array([motion.force[0], motion.force[-1]])
         assert all((phase.force[k] == ends).all(axis=(1, 2)).any() for k in np.flatnonzero(at_rest))
