@@ -54,21 +54,31 @@ def configurations(model: str, rng: np.random.Generator, count: int) -> Vector:
     return q
 
 
-def clear_configurations(model: str, rng: np.random.Generator, count: int) -> Vector:
-    """Configurations in which no link is within 5 mm of another, and no limb nearly straight or at a limit."""
-    found = np.zeros((0, robot(model).plant.num_positions()))
-    while len(found) < count:
-        q = configurations(model, rng, 200)
-        good = (body(model).clearance(kinematics(model).poses(q)) > 0.005) & (kinematics(model).within_limits(q) > 0.1)
-        for limb, inverse, chain in zip(robot(model).limbs, body(model).inverse, kinematics(model).chains, strict=True):
+@cache
+def _clear_joints(model: str) -> Vector:
+    """A hundred configurations that are clear, shape (100, nq)."""
+    rng, machine, ours = np.random.default_rng(0), robot(model), kinematics(model)
+    found = np.zeros((0, machine.plant.num_positions()))
+    while len(found) < 100:
+        q = configurations(model, rng, 2000)
+        q = q[ours.within_limits(q) > 0.1]
+        for limb, inverse, chain in zip(machine.limbs, body(model).inverse, ours.chains, strict=True):
             assert inverse is not None
-            pelvis = kinematics(model).pelvis(q[:, robot(model).base_q])
+            pelvis = ours.pelvis(q[:, machine.base_q])
             links = chain.links(pelvis, q[:, limb.q])
             distance = np.linalg.norm(chain.foot_position(pelvis, links) - links[-2].origin, axis=1)
             near, far = inverse.extent
-            good &= (distance < far - 0.01) & (distance > near + 0.01)
-        found = np.concatenate([found, q[good]])
-    return found[:count]
+            q = q[(distance < far - 0.01) & (distance > near + 0.01)]
+        found = np.concatenate([found, q[body(model).clearance(ours.poses(q)) > 0.005]])
+    return found[:100]
+
+
+def clear_configurations(model: str, rng: np.random.Generator, count: int) -> Vector:
+    """Configurations in which no link is within 5 mm of another, and no limb nearly straight or at a limit."""
+    q = configurations(model, rng, count)
+    joints = kinematics(model).joint_q
+    q[:, joints] = _clear_joints(model)[rng.integers(100, size=count)][:, joints]
+    return q
 
 
 @dataclass(frozen=True)
