@@ -221,6 +221,8 @@ def _robot(options: argparse.Namespace) -> int:
     console.print(f"[bold]{robot.name}[/bold]: {robot.mass:.3g} kg, {len(names)} limbs, its pelvis {base}")
     table = Table("limb", "joint", "position [rad]", "velocity [rad/s]", "effort [N m]", "reach [m]")
     for limb in robot.limbs:
+        if not limb.joints:
+            table.add_row(limb.name, "none", "", "", "", f"{limb.reach:.3g}")
         for i, joint in enumerate(limb.joints):
             table.add_row(
                 limb.name if i == 0 else "",

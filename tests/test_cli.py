@@ -90,3 +90,9 @@ def test_robot_shows_limbs_limits_and_symmetry(capsys: pytest.CaptureFixture[str
     assert [limb["name"] for limb in facts["limbs"]] == ["right_front", "left_front", "left_rear", "right_rear"]
     assert facts["mass"] == pytest.approx(2.0)
     assert len(facts["symmetries"]) == 2
+
+
+def test_robot_shows_limbs_without_joints(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["robot", "package://climber/double_link/double_link.urdf"]) == 0
+    shown = capsys.readouterr().out
+    assert "first_hand" in shown and "none" in shown and "middle" in shown
