@@ -152,6 +152,6 @@ def transition_intervals(graph: StanceGraph, wall: Wall, arriving: NDArray[np.in
     shift = np.minimum(np.divide(widest, lift, out=most.copy(), where=lift > 0.0), ANYWHERE)[:, None] + BALANCE
     lower = np.maximum(without[..., 0], graph.stance_support[:, None, 0]) - shift
     upper = np.minimum(without[..., 1], graph.stance_support[:, None, 1]) + shift
-    result: Vector = np.stack([lower, upper], axis=-1)
+    result: Vector = np.clip(np.stack([lower, upper], axis=-1), -ANYWHERE, ANYWHERE)  # a floor holds it anywhere
     result[~(lower <= upper)] = np.nan
     return result

@@ -29,6 +29,7 @@ from climber.transition import Postures
 NEIGHBOURS = 24  # holds around a place that stances there are made of
 TRIES = 12  # stances that can be held, tried at most at either end
 GOAL_RADIUS = 0.06  # [m]
+SECONDS = 120  # for a climb, and half a second more for each hold
 
 
 @dataclass(frozen=True)
@@ -164,5 +165,6 @@ def scenario_text(recipe: Recipe, model: str, climb: RandomClimb, name: str, mad
         f"  start: {{{start}}}",
         "  goal:",
         f"    pelvis: {{circle: {{center: {climb.goal.center}, radius: {climb.goal.radius}}}}}",
+        f"budget: {{time_limit_s: {SECONDS + recipe.holds // 2}}}",
     ]
     return "\n".join(lines) + "\n"

@@ -51,6 +51,14 @@ class ContactForces:
 
 
 def wall_forces(wall: Wall) -> ContactForces:
+    """The forces that each hold offers to a planar robot, see `_wall_forces`; computed once for each wall."""
+    kept: dict[str, ContactForces] = vars(wall)  # as cached properties keep what they computed
+    if "_forces" not in kept:
+        kept["_forces"] = _wall_forces(wall)
+    return kept["_forces"]
+
+
+def _wall_forces(wall: Wall) -> ContactForces:
     """The forces that each hold offers to a planar robot; the leading shape is (num_holds,).
 
     Friction: the two edges of the cone (eq. 4.8), each between `min_force` and `max_force` (eq. 4.9). Pin: the axes of
