@@ -205,8 +205,10 @@ def teach(data: st.DataObject, team: Team, planner: TaskPlanner, plan: TaskPlan)
         robot.edges[edge] = tail, head, cost + 2
     elif kind == "split":
         vertex = data.draw(st.sampled_from([*walk.vertices, *range(robot.num_vertices)]), label="vertex")
-        robot.counts[vertex] = robot.counts.get(vertex, 1) + 1
-        assert planner.split(r, vertex) == robot.counts[vertex]
+        count = robot.counts.get(vertex, 1)
+        if count < MOST_COMPONENTS:
+            robot.counts[vertex] = count + 1
+        assert planner.split(r, vertex) == (count + 1 if count < MOST_COMPONENTS else None)
     elif kind == "forbid":
         edge = data.draw(edges, label="edge")
         tail, head, _ = robot.edges[edge]
