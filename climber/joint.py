@@ -16,7 +16,7 @@ from climber.states import Booleans, Integers
 from climber.task_program import Doing
 
 MOST_POSITIONS = 50_000_000  # whether each was reached is a byte
-_CHUNK = 100_000
+_CHUNK = 10_000
 
 
 class _Robot:
@@ -34,6 +34,9 @@ class _Robot:
         self.arc = np.concatenate([whole, joins.arc[joined]])[order]
         self.num_nodes = components.num_nodes
         self.first = np.searchsorted(self.tail, np.arange(self.num_nodes + 1))
+        self.stay = np.empty(self.num_nodes, np.int64)  # the way that waits
+        waits = np.flatnonzero(self.arc >= states.num_moves)
+        self.stay[self.tail[waits]] = waits
         self.starts, self.goals = components.start_nodes(), components.goal_nodes()
         assert states.holds is not None
         self.holds = states.holds[states.vertices(components.states_of_nodes())]  # (num_nodes, n)
@@ -44,7 +47,8 @@ def joint_positions(
 ) -> int | None:
     """Searches all joint positions that a team can reach.
 
-    Returns their number if none of them is the end; None if one is, or they are too many, or it is too late.
+    Returns their number if none of them is the end; None if one is, or they are too many, or it is too late. What
+    robots can do at once they can do one after the other, unless there are conflicts or holds are handed over.
 
     Args:
         robots: The robots of the team.
@@ -63,12 +67,14 @@ def joint_positions(
     grids = np.meshgrid(*(robot.starts for robot in team), indexing="ij")
     frontier = np.ravel_multi_index(tuple(grid.ravel() for grid in grids), sizes)
     seen[frontier] = True
+    movers = [None] if conflicts or handover else list(range(len(team)))
     while len(frontier):
         if ends[frontier].any() or (deadline is not None and time.perf_counter() > deadline):
             return None
         found = [
-            _following(team, np.array(np.unravel_index(frontier[i : i + _CHUNK], sizes)), sizes, conflicts, handover)
+            _following(team, np.array(np.unravel_index(frontier[i : i + _CHUNK], sizes)), mover, conflicts, handover)
             for i in range(0, len(frontier), _CHUNK)
+            for mover in movers
         ]
         new = np.unique(np.concatenate(found))
         frontier = new[~seen[new]]
@@ -79,7 +85,7 @@ def joint_positions(
 def _following(
     team: list[_Robot],
     positions: Integers,
-    sizes: tuple[int, ...],
+    mover: int | None,
     conflicts: list[tuple[Doing, Doing]],
     handover: bool,
 ) -> Integers:
@@ -88,7 +94,7 @@ def _following(
     Args:
         team: The robots.
         positions: Nodes, shape (num_robots, n).
-        sizes: How many nodes each robot has.
+        mover: The one robot that does not wait; None if all may move.
         conflicts: As `joint_positions` takes them.
         handover: Likewise.
     """
@@ -96,9 +102,12 @@ def _following(
     ways: list[Integers] = []  # for each robot so far, its way in each combination
     for number, robot in enumerate(team):
         nodes = positions[number, rows]
-        counts = robot.first[nodes + 1] - robot.first[nodes]
-        stops = np.cumsum(counts)
-        way = np.arange(stops[-1] if len(stops) else 0) + np.repeat(robot.first[nodes] - (stops - counts), counts)
+        if mover is None or mover == number:
+            counts = robot.first[nodes + 1] - robot.first[nodes]
+            stops = np.cumsum(counts)
+            way = np.arange(stops[-1] if len(stops) else 0) + np.repeat(robot.first[nodes] - (stops - counts), counts)
+        else:
+            counts, way = np.ones(len(nodes), np.int64), robot.stay[nodes]
         rows, ways = np.repeat(rows, counts), [np.repeat(earlier, counts) for earlier in ways]
         keep: Booleans = np.ones(len(way), bool)
         for other, theirs in enumerate(ways):
@@ -114,7 +123,7 @@ def _following(
                     keep &= ~(np.isin(robot.arc[way], pair[number]) & np.isin(mate.arc[theirs], pair[other]))
         rows, ways = rows[keep], [*(earlier[keep] for earlier in ways), way[keep]]
     heads = tuple(robot.head[way] for robot, way in zip(team, ways, strict=True))
-    result: Integers = np.unique(np.ravel_multi_index(heads, sizes))
+    result: Integers = np.unique(np.ravel_multi_index(heads, tuple(robot.num_nodes for robot in team)))
     return result
 
 

@@ -21,6 +21,7 @@ from climber.exceptions import ClimberError
 from climber.joint import joint_positions
 from climber.layers import FAR, Layers
 from climber.states import WAIT, Integers, RobotTask, States, integers
+from climber.task_answer import decoded, why_not
 from climber.task_plan import Attempt, Impossible, OutOfTime, Proofs, TaskPlan, TaskStats, Walk
 from climber.task_program import Answer, Doing, TaskProgram
 
@@ -193,7 +194,7 @@ class TaskPlanner:
         tally.layers_seconds += time.perf_counter() - tally.began
         for robot, layers in enumerate(self.layers):
             if layers.shortest == FAR:
-                return self._impossible(robot, tally)
+                return why_not(robot, layers, self._stats(tally))
         horizon = max(self.lower_bound(), self._refuted + 1)
         while deadline is None or time.perf_counter() < deadline:
             answer = self._try(horizon, tally, deadline)
@@ -250,32 +251,11 @@ class TaskPlanner:
         for robot, layers in enumerate(self.layers):
             arcs = [answer.moves[robot, t] for t in range(1, horizon + 1) if (robot, t) in answer.moves]
             components = [answer.components.get((robot, t)) for t in range(horizon + 1)]
-            walks.append(_walk(layers, arcs, components))
+            walks.append(decoded(layers, arcs, components))
         cost = sum(walk.cost for walk in walks)
         if cost != answer.cost or any(len(walk.edges) != horizon for walk in walks):
             raise ClimberError(f"clingo counts {answer.cost} for {walks}: no climb of {horizon} steps and cost {cost}")
         return TaskPlan(tuple(walks), cost, proofs, self._stats(tally))
-
-    def _impossible(self, robot: int, tally: _Tally) -> Impossible:
-        """Why this robot has no walk."""
-        layers = self.layers[robot]
-        states = layers.states
-        reached = np.zeros(states.num_states, bool)
-        reached[layers.components.states_of_nodes()[layers.reached < FAR]] = True
-        reached[states.start] = True  # if every component of the start is barred it stays there
-        leaving = np.flatnonzero(reached[states.tail] & ~reached[states.head])
-        blocking = np.unique(leaving // states.stages)
-        vertices = np.unique(states.vertices(np.flatnonzero(reached)))
-        return Impossible(
-            reached=vertices,
-            blocking=blocking,
-            frontier=np.unique(states.edge_tail[blocking]),
-            stats=self._stats(tally),
-            robot=robot,
-            missing=tuple(i for i, there in enumerate(states.waypoints) if not np.isin(there, vertices).any()),
-            waypoints=len(states.waypoints),
-            barred=int(layers.usable[leaving].sum()),
-        )
 
     def _together_impossible(self, positions: int, tally: _Tally) -> Impossible:
         nothing = np.empty(0, np.int64)
@@ -309,25 +289,6 @@ class TaskPlanner:
         if kind == "at":
             return robot, states.waits(_number(number, states.num_vertices, "vertex"))
         raise ValueError(f'a conflict is "at" a vertex or a "move", not {kind!r}')
-
-
-def _walk(layers: Layers, arcs: list[int], components: list[int | None]) -> Walk:
-    """The walk along some arcs, after checking that it is one."""
-    states = layers.states
-    path = [states.start, *states.head[arcs].tolist()]
-    vertices = [state // states.stages for state in path]
-    edges = [states.edge(arc) for arc in arcs]
-    if not (
-        layers.usable[arcs].all()
-        and states.tail[arcs].tolist() == path[:-1]
-        and path[-1] in states.goals
-        and [vertex in layers.components.counts for vertex in vertices] == [c is not None for c in components]
-    ):
-        raise ClimberError(f"clingo's moves {edges} with the components {components} are no climb")
-    visited = [set(states.visited(state)) for state in path]
-    visits = [next(t for t, seen in enumerate(visited) if i in seen) for i in range(len(states.waypoints))]
-    cost = int(layers.cost[arcs].sum())
-    return Walk(tuple(vertices), tuple(edges), tuple(components), tuple(visits), cost)
 
 
 def _number(number: int, count: int, name: str) -> int:

@@ -16,9 +16,10 @@ import clingo
 import numpy as np
 from clingo import Function, Number, Symbol
 
-from climber.components import MOST_COMPONENTS, WHOLE, Bar, Join
+from climber.components import WHOLE, Bar, Join
 from climber.layers import Layers, Rises
 from climber.states import Integers
+from climber.task_facts import Facts
 
 # One thread and a fixed seed: the same question gets the same answer.
 _OPTIONS = ("--seed=0", "--parallel-mode=1", "--models=0", "--warn=none")
@@ -56,64 +57,6 @@ class Answer:
     exhausted: bool = False
 
 
-@dataclass
-class _Facts:
-    """Answers the logic programs' questions. Nothing but numbers passes."""
-
-    layers: list[Layers]
-    claims_: dict[tuple[int, int, int], Integers] = field(default_factory=dict)
-    fresh_: dict[tuple[int, int, int], list[tuple[int, int]]] = field(default_factory=dict)
-    rivals_: list[tuple[int, ...]] = field(default_factory=list)
-    refined_: list[tuple[int, ...]] = field(default_factory=list)
-    resting_: list[tuple[int, ...]] = field(default_factory=list)
-
-    def robots(self) -> list[Symbol]:
-        return [Number(robot) for robot in range(len(self.layers))]
-
-    def start(self, robot: Symbol) -> Symbol:
-        return Number(self.layers[robot.number].states.start)
-
-    def goals(self, robot: Symbol) -> list[Symbol]:
-        states = self.layers[robot.number].states
-        return [Number(n) for goal in states.goal_vertices.tolist() for n in states.of_vertex(goal).tolist()]
-
-    def arcs(self, robot: Symbol, t: Symbol, part: Symbol) -> list[Symbol]:
-        layers = self.layers[robot.number]
-        layer = layers.layers[t.number - 1]
-        new = layer.part(part.number)
-        arcs = layer.arcs[new]
-        columns = (arcs, layers.states.tail[arcs], layers.states.head[arcs], layer.weights[new])
-        return _tuples(np.column_stack(columns).tolist())
-
-    def waypoints(self, robot: Symbol) -> list[Symbol]:
-        return [Number(i) for i in range(len(self.layers[robot.number].states.waypoints))]
-
-    def visited(self, robot: Symbol, state: Symbol) -> list[Symbol]:
-        return [Number(i) for i in self.layers[robot.number].states.visited(state.number)]
-
-    def claims(self, robot: Symbol, t: Symbol, part: Symbol) -> list[Symbol]:
-        return _tuples(self.claims_[robot.number, t.number, part.number].tolist())
-
-    def fresh(self, robot: Symbol, t: Symbol, part: Symbol) -> list[Symbol]:
-        return _tuples(self.fresh_[robot.number, t.number, part.number])
-
-    def rivals(self, _: Symbol) -> list[Symbol]:
-        return _tuples(self.rivals_)
-
-    def refined(self, _: Symbol) -> list[Symbol]:
-        return _tuples(self.refined_)
-
-    def resting(self, _: Symbol) -> list[Symbol]:
-        return _tuples(self.resting_)
-
-    def most(self) -> Symbol:
-        return Number(MOST_COMPONENTS)
-
-
-def _tuples(rows: Iterable[Iterable[int]]) -> list[Symbol]:
-    return [clingo.Tuple_([Number(number) for number in row]) for row in rows]
-
-
 class TaskProgram:
     """The logic program of some robots.
 
@@ -130,7 +73,7 @@ class TaskProgram:
     def __init__(self, layers: list[Layers], handover: bool = False) -> None:
         self.layers = layers
         self.pairs, self.moves, self.rules = len(layers), 0, 0
-        self._facts = _Facts(layers)
+        self._facts = Facts(layers)
         self._control = clingo.Control([*_OPTIONS, _ALONE if len(layers) == 1 else _TEAM])
         self._control.add("base", [], _text("climb"))
         if any(len(robot.states.waypoints) for robot in layers):
