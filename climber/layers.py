@@ -63,6 +63,7 @@ class Layers:
         from_start: Fewest steps from the start to every state, whatever the components, shape (num_states,).
         to_goal: Fewest steps from every state to a goal, likewise.
         reached: Fewest steps from the start to every node, shape (num_nodes,).
+        given_until: A state's pairs are in the layers up to this t, -1 if none is, shape (num_states,).
         shortest: The fewest steps from the start to a goal; `FAR` if there is no way.
     """
 
@@ -73,8 +74,8 @@ class Layers:
         self.usable: Booleans = states.usable.copy()
         self.layers: list[Layer] = []  # layers[t - 1] is step t
         self.ends: dict[tuple[int, int], int] = {}  # what ending counts, by goal state and component, as last weighed
-        self._given_until: Integers = np.full(states.num_states, -1)  # a state's pairs are given up to this t
-        self._given_until[states.start] = 0
+        self.given_until: Integers = np.full(states.num_states, -1)
+        self.given_until[states.start] = 0
         self._join_weights: dict[tuple[int, Join], int] = {}
         self._out = _rows(states.tail, states.num_states)
         self._into = _rows(states.head, states.num_states)
@@ -113,7 +114,7 @@ class Layers:
         if horizon * dearest > MOST:
             raise ClimberError(f"{horizon} moves of cost {dearest} add up to more than the solver counts, {MOST}")
         tail, head = self.states.tail, self.states.head
-        first = np.maximum(self.from_start[tail], self._given_until[head]) + 1
+        first = np.maximum(self.from_start[tail], self.given_until[head]) + 1
         last = horizon - self.to_goal[head]
         arcs = np.flatnonzero(self.usable & (first <= last))
         counts = (last - first + 1)[arcs]
@@ -125,7 +126,7 @@ class Layers:
         arcs, steps = arcs[order], steps[order]
 
         relevant = self.from_start + self.to_goal <= horizon
-        self._given_until[relevant] = np.maximum(self._given_until, horizon - self.to_goal)[relevant]
+        self.given_until[relevant] = np.maximum(self.given_until, horizon - self.to_goal)[relevant]
         while len(self.layers) < horizon:
             self.layers.append(Layer())
         numbers, starts = np.unique(steps, return_index=True)

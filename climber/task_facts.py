@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import clingo
 import numpy as np
@@ -12,6 +13,12 @@ from clingo import Number, Symbol
 from climber.components import MOST_COMPONENTS
 from climber.layers import Layers
 from climber.states import Integers
+
+
+@lru_cache(1 << 16)
+def number_symbol(number: int) -> Symbol:
+    """The symbol of a number, made once: the same few come again and again."""
+    return Number(number)
 
 
 @dataclass
@@ -90,4 +97,4 @@ class Facts:
 
 
 def _tuples(rows: Iterable[Iterable[int]]) -> list[Symbol]:
-    return [clingo.Tuple_([Number(number) for number in row]) for row in rows]
+    return [clingo.Tuple_([number_symbol(number) for number in row]) for row in rows]

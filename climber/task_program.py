@@ -19,7 +19,7 @@ from clingo import Function, Number, Symbol
 from climber.components import WHOLE, Bar, Join
 from climber.layers import Layers, Rises
 from climber.states import Integers
-from climber.task_facts import Facts
+from climber.task_facts import Facts, number_symbol
 
 # One thread and a fixed seed: the same question gets the same answer.
 _OPTIONS = ("--seed=0", "--parallel-mode=1", "--models=0", "--warn=none")
@@ -138,10 +138,11 @@ class TaskProgram:
         for robot, layers in enumerate(self.layers):
             states = layers.states
             for vertex in layers.components.counts:
-                for state, t in product(states.of_vertex(vertex).tolist(), range(len(layers.layers) + 1)):
-                    if (robot, state, t) not in self._refined and self._literal("at", robot, state, t):
-                        self._refined.add((robot, state, t))
-                        rows.append((robot, state, t, vertex))
+                for state in states.of_vertex(vertex).tolist():
+                    for t in range(int(layers.given_until[state]) + 1):
+                        if (robot, state, t) not in self._refined and self._literal("at", robot, state, t):
+                            self._refined.add((robot, state, t))
+                            rows.append((robot, state, t, vertex))
             if len(states.tail) > states.num_moves:
                 waits += [(robot, states.num_moves + state, state, t) for r, state, t, _ in rows if r == robot]
         if rows:
@@ -173,16 +174,17 @@ class TaskProgram:
 
     def bar(self, robot: int, bars: Iterable[Bar]) -> None:
         """Bars edges between components, at all steps given where that was not said before."""
-        states = self.layers[robot].states
-        rules: list[list[int]] = []
+        layers, rules = self.layers[robot], list[list[int]]()
         for bar in bars:
-            for arc, t in product(states.arcs(bar.edge).tolist(), range(1, len(self.layers[robot].layers) + 1)):
-                key = (robot, *(WHOLE if c is None else c for c in bar), arc, t)
-                move = 0 if key in self._said else self._literal("move", robot, arc, t)
-                if move:
-                    self._said.add(key)
-                    join = Join(arc, *(WHOLE if c is None else c for c in bar[1:]))
-                    rules.append([move, *self._ends_of(robot, join, t)])
+            for arc in layers.states.arcs(bar.edge).tolist():
+                last = int(layers.given_until[layers.states.head[arc]])
+                for t in range(1, last + 1):
+                    key = (robot, *(WHOLE if c is None else c for c in bar), arc, t)
+                    move = 0 if key in self._said else self._literal("move", robot, arc, t)
+                    if move:
+                        self._said.add(key)
+                        join = Join(arc, *(WHOLE if c is None else c for c in bar[1:]))
+                        rules.append([move, *self._ends_of(robot, join, t)])
         self._never(rules)
 
     def bar_start(self, robot: int, component: int) -> None:
@@ -319,5 +321,5 @@ class TaskProgram:
 
     def _literal(self, name: str, *numbers: int) -> int:
         """Clingo's number for an atom; 0 if it has none because it cannot be true."""
-        atom = self._control.symbolic_atoms[Function(name, [Number(number) for number in numbers])]
+        atom = self._control.symbolic_atoms[Function(name, [number_symbol(number) for number in numbers])]
         return 0 if atom is None else atom.literal
