@@ -31,7 +31,7 @@ ARGUMENTS = {
     "graph": ("--holds 1000 10000", "--walls W1 W2 --repeat 5 --peer-seconds 5"),
     "swing": ("", "--quick"),
     "task": ("", "--walls W1 W3 --repeat 1 --questions 20"),
-    "team": ("", "--skip-peers --repeat 1 --questions 10"),
+    "team": ("--encodings literal", "--skip-peers --repeat 1 --questions 10"),
     "refine": ("--legs 20", "--legs 3"),
     "solve": ("", "--quick"),
 }
