@@ -37,6 +37,7 @@ from climber.path import Leg, Search, find_path, line
 from climber.robot import Robot
 from climber.stance import Contact, Move, Stance
 from climber.transition import find_transition, support_interval
+from climber.transitions import Effort
 from climber.wall import Hold, Wall
 
 WALLS = Path(__file__).parent / "walls"
@@ -105,11 +106,11 @@ def contacts(stance: Stance) -> list[Contact]:
 
 def our_swing(body: Body, move: Move, rng: np.random.Generator) -> Swing:
     """Plans one swing as `MotionPlanner` does, with its budget, remembering nothing from before."""
-    budget = MotionBudget()
+    budget, effort = MotionBudget(), Effort()
     began = time.perf_counter()
-    leave = find_transition(body, contacts(move.start), move.limb, rng, None, budget.rounds, budget.postures)
+    leave = find_transition(body, contacts(move.start), move.limb, rng, None, effort.rounds, effort.postures)
     left = time.perf_counter()
-    arrive = find_transition(body, contacts(move.end), move.limb, rng, None, budget.rounds, budget.postures)
+    arrive = find_transition(body, contacts(move.end), move.limb, rng, None, effort.rounds, effort.postures)
     arrived = time.perf_counter()
     legs, manifold = None, None
     if len(leave) and len(arrive):

@@ -77,3 +77,18 @@ class Candidates:
         for back in reversed(before):
             chosen.append(int(back[chosen[-1]]))
         return chosen[::-1]
+
+    def bar_phase(self, i: int) -> None:
+        """Bars all phases from layer i to the next."""
+        here, there = len(self.layers[i].q), len(self.layers[i + 1].q)
+        self.barred.update((i, a, b) for a in range(here) for b in range(there))
+
+    def dead_end(self) -> tuple[int, Indices]:
+        """The first layer from which nothing leads on, and the candidates there that can be reached."""
+        reached = np.arange(len(self.layers[0].q))
+        for i in range(len(self.layers) - 1):
+            onwards = np.flatnonzero(np.isfinite(self.costs(i)[reached]).any(axis=0))
+            if not len(onwards):
+                return i, reached
+            reached = onwards
+        raise ValueError("there is a way through all layers")

@@ -120,6 +120,19 @@ class StanceGraph:
         return result
 
     @cached_property
+    def released(self) -> Ints:
+        """The hold that each edge's limb leaves, shape (E,)."""
+        result: Ints = self.stances[self.tail, self.limb]
+        return result
+
+    @cached_property
+    def taken(self) -> Ints:
+        """The hold that each edge's limb takes, shape (E,)."""
+        sums = self.stances.sum(axis=1, dtype=np.int32)
+        result: Ints = sums[self.head] - sums[self.tail] + self.released
+        return result
+
+    @cached_property
     def reach_cost(self) -> Vector:
         """How far the foot travels [m] (4.19), shape (E,)."""
         old = self.stances[self.tail, self.limb]

@@ -1,35 +1,38 @@
 """Motions: the continuous climb through a sequence of moves, phase by phase.
 
-For every move there are postures to let go in and postures to take hold in (`transition`); one of each is chosen for
+For every move there are postures to let go in and postures to take hold in (`transitions`); one of each is chosen for
 the whole climb (`choose`) and improved; between them run paths on the manifold of the limbs that hold (`path`),
 smoothed and shortened (`programs.trajectory`), timed (`timing`), and slowed until contact forces inside the friction
 cones and torques inside the limits produce them (`programs.torque`). The robot shifts with all limbs in contact, then
-swings one, and so on; it stands still whenever contacts change.
+swings one, and so on; it stands still whenever contacts change and where it visits a region.
 """
 
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Literal
 
 import numpy as np
-import shapely
 from shapely.geometry.base import BaseGeometry
 
 from climber.choose import Candidates, Layer
 from climber.dynamics import evaluate
-from climber.manifold import Body, Manifold, Margins
+from climber.manifold import Manifold
 from climber.path import Search, clear, find_path, unwound
+from climber.pieces import Choice, in_component
 from climber.programs.posture import improve_posture
 from climber.programs.torque import phase_torques, static_feasible
 from climber.programs.trajectory import refine
 from climber.stance import Contact, Move, Vector
 from climber.timing import PEAK, PacedPath, Samples, joined
-from climber.transition import Failure, Postures, between, find_transition, posture_sampler, support_interval
+from climber.transition import Failure, Postures, between
+from climber.transitions import MoveFailure, TransitionFinder
 
-Stage = Literal["transition", "motion", "torque"]
+Purpose = Literal["let go", "region", "swing"]
+Regions = Mapping[int, Sequence[BaseGeometry | None]]
 
 
 @dataclass(frozen=True)
@@ -37,27 +40,18 @@ class MotionBudget:
     """What motion planning may spend on one climb.
 
     Attributes:
-        samples: Pelvis poses drawn at most while looking for a posture.
-        postures: Candidate postures kept for each instant.
-        attempts: Pairs of postures tried for one phase before its move is given up.
+        attempts: Pairs of postures, each from other pieces, tried for one phase before it is given up.
         iterations: Samples that RRT-Connect draws for one pair.
         pace: Share of the joint rate limits that a motion uses when nothing else slows it.
         rate: Samples per second [Hz].
         slowest: A phase is not slowed beyond this duration [s].
     """
 
-    samples: int = 20_000
-    postures: int = 24
     attempts: int = 12
     iterations: int = 100
     pace: float = 0.6
     rate: float = 100.0
     slowest: float = 30.0
-
-    @property
-    def rounds(self) -> tuple[int, ...]:
-        """Pelvis poses drawn in successive rounds: a few settle most cases."""
-        return (*(n for n in (500, 4_000) if n < self.samples), self.samples)
 
 
 @dataclass(frozen=True)
@@ -84,173 +78,96 @@ class PhaseMotion:
 
 
 @dataclass(frozen=True)
-class MoveFailure:
-    """A move that could not be carried out, and which stage found out.
+class DeadEnd:
+    """A phase that nothing tried got through, from where the robot can be as it begins.
 
     Attributes:
-        index: Which move of the sequence; its length if the final shift to the goal failed.
-        stage: The stage.
-        failure: Proved or out of budget, and why.
-        end: Which end of the move has no posture ("leave", "arrive"), None if the way between them is the trouble.
+        failure: What the last attempt came to; its index is the number of moves complete by then.
+        purpose: What the phase was for.
+        contacts: Every limb's contact as it begins.
+        reached: Postures the robot can be in as it begins, shape (M, nq).
+        whole: Whether these are all the postures known there, however the robot came.
+    """
+
+    failure: MoveFailure
+    purpose: Purpose
+    contacts: tuple[Contact, ...]
+    reached: Vector
+    whole: bool
+
+
+@dataclass(frozen=True)
+class EmptyPiece:
+    """A piece of a stance's feasible set that holds no posture of the kind needed.
+
+    Attributes:
+        index: How many moves are complete at that stance.
+        missing: "swing" for a posture to arrive in, "let go", "region", or "start" for one to start the climb in.
     """
 
     index: int
-    stage: Stage
-    failure: Failure
-    end: Literal["leave", "arrive"] | None = None
+    missing: Purpose | Literal["start"]
 
 
 @dataclass
 class _Phase:
-    """A phase to be planned: on which contacts, which limb swings, after how many moves."""
+    """A phase to be planned: on which contacts, which limb swings, after how many moves, and what it is for."""
 
     manifold: Manifold
     limb: int | None
     move: int
+    purpose: Purpose
 
 
 class MotionPlanner:
-    """Plans motions for one robot on one wall, remembering what it found out about transitions.
+    """Plans motions for one robot on one wall.
 
     Attributes:
-        body: The robot on its wall.
+        transitions: Where limbs can let go and take hold.
         budget: What may be spent.
-        times: Seconds spent in each stage so far.
+        seconds: Time spent in each stage so far [s].
     """
 
-    def __init__(
-        self, body: Body, rng: np.random.Generator, budget: MotionBudget | None = None, margins: Margins | None = None
-    ) -> None:
-        self.body, self.rng = body, rng
-        self.budget, self.margins = budget or MotionBudget(), margins or Margins()
-        self.times = {"transitions": 0.0, "motion": 0.0, "torque": 0.0}
-        self._transitions: dict[tuple[tuple[Contact, ...], int], Postures] = {}
-
-    # --- transitions -------------------------------------------------------------------------------------------------
-
-    def transition(self, contacts: tuple[Contact, ...], limb: int) -> Postures:
-        """Postures on `contacts` in which `limb` may let go or has just taken hold; found once."""
-        key = (contacts, limb)
-        if key not in self._transitions:
-            began = clock.perf_counter()
-            found = find_transition(
-                self.body, contacts, limb, self.rng, self.margins, self.budget.rounds, self.budget.postures
-            )
-            holding = [c for c in contacts if c.limb != limb]
-            self._transitions[key] = self._carried(self._carried(found, holding), contacts)
-            self.times["transitions"] += clock.perf_counter() - began
-        return self._transitions[key]
-
-    def _carried(self, postures: Postures, contacts: Sequence[Contact]) -> Postures:
-        """Those of the postures that the contacts can carry with the torques there are."""
-        if not len(postures):
-            return postures
-        good = static_feasible(self.body.robot, self.body.wall, postures.q, list(contacts))
-        if good.all():
-            return postures
-        failure = None if good.any() else Failure("budget", f"none of {len(good)} postures can be held by the motors")
-        return Postures(postures.contacts, postures.q[good], postures.branches[good], postures.slack[good], failure)
-
-    def arrival(self, support: tuple[Contact, ...], limb: int, hold: int) -> Postures:
-        """Postures in which `limb` has just taken `hold`: at the patch's centre, or where else on it one exists."""
-        centre = Contact(limb, hold)
-        found = self.transition(_ordered((*support, centre)), limb)
-        half_width = self.body.wall.holds[hold].half_width
-        if len(found) or half_width == 0.0:
-            return found
-        first = found
-        for share in (1.0, -1.0, 0.5, -0.5):
-            found = self.transition(_ordered((*support, replace(centre, offset=share * half_width))), limb)
-            if len(found):
-                return found
-        # What is impossible with the foot at the centre is only proved so for the centre.
-        failure = first.failure
-        assert failure is not None
-        if failure.kind == "proved" and "forces" not in failure.reason:
-            failure = Failure("budget", f"{failure.reason}, nor at four other points of the patch")
-        return replace(first, failure=failure)
-
-    def contacts_after(
-        self, contacts: tuple[Contact, ...], move: Move
-    ) -> tuple[tuple[Contact, ...], list[MoveFailure]]:
-        """The contacts after a move, and which of its two ends have no posture."""
-        failures = []
-        leaving = self.transition(contacts, move.limb)
-        if leaving.failure is not None:
-            failures.append(MoveFailure(0, "transition", leaving.failure, "leave"))
-        support = tuple(c for c in contacts if c.limb != move.limb)
-        arriving = self.arrival(support, move.limb, move.hold)
-        if arriving.failure is not None:
-            failures.append(MoveFailure(0, "transition", arriving.failure, "arrive"))
-        return arriving.contacts, failures
-
-    def survey(self, start: tuple[Contact, ...], moves: Sequence[Move]) -> list[MoveFailure]:
-        """Every end of every move that has no transition posture, before any motion is planned."""
-        failures = []
-        contacts = start
-        for i, move in enumerate(moves):
-            contacts, found = self.contacts_after(contacts, move)
-            failures += [replace(failure, index=i) for failure in found]
-        return failures
-
-    # --- motions -----------------------------------------------------------------------------------------------------
-
-    def manifold(self, contacts: Sequence[Contact]) -> Manifold | None:
-        """The manifold of some contacts, None if these cannot hold the robot."""
-        support = support_interval(self.body, contacts)
-        return None if support is None else Manifold(self.body, contacts, support, self.margins)
-
-    def standing(self, contacts: tuple[Contact, ...], region: BaseGeometry | None = None) -> Postures:
-        """Postures at rest on all contacts, with the pelvis's origin in a region of the wall plane if one is given."""
-        empty = Postures(contacts, np.zeros((0, 0)), np.zeros((0, 0), dtype=np.int64), np.zeros(0))
-        manifold = self.manifold(contacts)
-        if manifold is None:
-            return replace(empty, failure=Failure("proved", "no forces of all limbs balance gravity"))
-        sampler = posture_sampler(self.body, manifold)
-        if sampler.unreachable():
-            return replace(empty, failure=Failure("proved", "at no angle of the pelvis do all limbs reach their holds"))
-        for count in self.budget.rounds:
-            q, branches, slack, _ = sampler.draw(self.rng, count)
-            if region is not None and len(q):
-                inside = shapely.contains_xy(region, *q[:, self.body.robot.base_q[:2]].T)
-                q, branches, slack = q[inside], branches[inside], slack[inside]
-            if len(q):
-                best = np.argsort(-slack)[: self.budget.postures]
-                found = self._carried(Postures(contacts, q[best], branches[best], slack[best]), contacts)
-                if len(found):
-                    return found
-        where = "" if region is None else " with the pelvis in the region"
-        return replace(
-            empty, failure=Failure("budget", f"no posture{where} among {sum(self.budget.rounds)} pelvis poses")
-        )
+    def __init__(self, transitions: TransitionFinder, budget: MotionBudget | None = None) -> None:
+        self.transitions, self.body, self.rng = transitions, transitions.body, transitions.rng
+        self.budget = budget or MotionBudget()
+        self.seconds = {"motion": 0.0, "torque": 0.0}
 
     def plan(
         self,
         start: Postures,
         moves: Sequence[Move],
-        region: BaseGeometry | None,
-        report: Callable[[int, int], None] = lambda done, total: None,
-    ) -> list[PhaseMotion] | MoveFailure:
-        """Plans the whole climb: shift, swing, shift, ..., and a last shift into the goal.
+        regions: Regions,
+        pieces: Mapping[int, Choice] | None = None,
+    ) -> list[PhaseMotion] | MoveFailure | DeadEnd | EmptyPiece:
+        """Plans the whole climb: shift, swing, shift, ..., and a last shift.
 
         Args:
             start: Postures the climb may start in.
-            moves: The moves, all of whose transitions exist (`survey`).
-            region: Where the pelvis's origin must come to rest in the wall plane; None for anywhere.
-            report: Called with the number of phases done and in all.
+            moves: The moves, all of whose transitions exist (`TransitionFinder.survey`).
+            regions: Where in the wall plane the pelvis's origin must come to rest, one after the other, by how many
+                moves are complete; None for anywhere. The last entry after the last move is the goal.
+            pieces: By how many moves are complete, the piece of the stance's feasible set that the robot must be in.
         """
-        prepared = self._prepare(start, moves, region)
-        if isinstance(prepared, MoveFailure):
-            return prepared
-        candidates, phases = prepared
-        began = clock.perf_counter()
+        layers = self._layers(start, moves, regions, pieces or {})
+        if not isinstance(layers, tuple):
+            return layers
+        candidates, phases = layers
+        began, torque_before = clock.perf_counter(), self.seconds["torque"]
+        try:
+            return self._through(candidates, phases)
+        finally:
+            spent = clock.perf_counter() - began
+            self.seconds["motion"] += spent - (self.seconds["torque"] - torque_before)
+
+    def _through(self, candidates: Candidates, phases: list[_Phase]) -> list[PhaseMotion] | DeadEnd:
+        """Motions through the layers, by the cheapest way for which all of them work out."""
         chosen = candidates.best()
         assert chosen is not None
         chosen = self._improve(candidates, phases, chosen)
         done: dict[tuple[int, int, int], PhaseMotion] = {}
         tried = [0] * len(phases)
         while True:
-            torque_before = self.times["torque"]
             for i, phase in enumerate(phases):
                 key = (i, chosen[i], chosen[i + 1])
                 if key not in done:
@@ -261,45 +178,68 @@ class MotionPlanner:
                         self._bar(candidates, phase, key)
                         break
                     done[key] = motion
-                    report(len({k[0] for k in done}), len(phases))
             else:
-                self.times["motion"] += clock.perf_counter() - began - (self.times["torque"] - torque_before)
                 return self._chained([done[(i, chosen[i], chosen[i + 1])] for i in range(len(phases))])
+            if tried[i] >= self.budget.attempts:
+                candidates.bar_phase(i)
             again = candidates.best()
-            if again is None or tried[i] >= self.budget.attempts:
-                self.times["motion"] += clock.perf_counter() - began
-                return motion
+            if again is None:
+                dead, reached = candidates.dead_end()
+                layer, phase = candidates.layers[dead], phases[dead]
+                failure = replace(motion, index=phase.move)
+                whole = len(reached) == len(layer.q)
+                return DeadEnd(failure, phase.purpose, layer.contacts, layer.q[reached], whole)
             chosen = again
 
-    def _prepare(
-        self, start: Postures, moves: Sequence[Move], region: BaseGeometry | None
-    ) -> tuple[Candidates, list[_Phase]] | MoveFailure:
+    def _layers(
+        self, start: Postures, moves: Sequence[Move], regions: Regions, pieces: Mapping[int, Choice]
+    ) -> tuple[Candidates, list[_Phase]] | MoveFailure | EmptyPiece:
         """Layers of candidate postures, and the phases between them."""
+        finder = self.transitions
         every = tuple(range(len(self.body.robot.limbs)))
         contacts = start.contacts
         layers = [Layer(contacts, start.q, start.branches, every)]
-        phases = []
-        for i, move in enumerate(moves):
-            leaving = self.transition(contacts, move.limb)
+        phases: list[_Phase] = []
+        for i in range(len(moves) + 1):
+            shift = finder.manifold(contacts)
+            assert shift is not None  # transitions on it were found
+            for region in regions.get(i, ()):
+                resting = finder.standing(contacts, region)
+                if resting.failure is not None:
+                    return MoveFailure(i, "transition", resting.failure)
+                phases.append(_Phase(shift, None, i, "region"))
+                layers.append(Layer(contacts, resting.q, resting.branches, every))
+            if i == len(moves):
+                break
+            move = moves[i]
             support = tuple(c for c in contacts if c.limb != move.limb)
-            arriving = self.arrival(support, move.limb, move.hold)
-            for found, end in ((leaving, "leave"), (arriving, "arrive")):
-                if found.failure is not None:
-                    return MoveFailure(i, "transition", found.failure, "leave" if end == "leave" else "arrive")
-            shift, swing = self.manifold(contacts), self.manifold(support)
-            assert shift is not None and swing is not None  # their transitions were found
-            phases += [_Phase(shift, None, i), _Phase(swing, move.limb, i)]
+            leaving, arriving = finder.transition(contacts, move.limb), finder.arrival(support, move.limb, move.hold)
+            if leaving.failure is not None:
+                return MoveFailure(i, "transition", leaving.failure, "leave")
+            if arriving.failure is not None:
+                return MoveFailure(i, "transition", arriving.failure, "arrive")
+            swing = finder.manifold(support)
+            assert swing is not None
+            phases += [_Phase(shift, None, i, "let go"), _Phase(swing, move.limb, i, "swing")]
             layers.append(Layer(contacts, leaving.q, leaving.branches, every))
             holding = tuple(c.limb for c in support)
             layers.append(Layer(arriving.contacts, arriving.q, arriving.branches, holding))
             contacts = arriving.contacts
-        final, last = self.standing(contacts, region), self.manifold(contacts)
-        if final.failure is not None:
-            return MoveFailure(len(moves), "transition", final.failure)
-        assert last is not None
-        phases.append(_Phase(last, None, len(moves)))
-        layers.append(Layer(contacts, final.q, final.branches, every))
-        return Candidates(layers, int(self.body.robot.base_q[-1])), phases
+        failure = self._keep(layers, phases, pieces)
+        return failure or (Candidates(layers, int(self.body.robot.base_q[-1])), phases)
+
+    def _keep(self, layers: list[Layer], phases: list[_Phase], pieces: Mapping[int, Choice]) -> EmptyPiece | None:
+        """Leaves only candidates in the pieces asked for; what is missing if none is left."""
+        shifts = {phase.move: phase.manifold for phase in phases if phase.limb is None}
+        after = [0, *(phase.move + (phase.limb is not None) for phase in phases)]
+        for number, (layer, moves) in enumerate(zip(layers, after, strict=True)):
+            if moves not in pieces:
+                continue
+            kept = in_component(shifts[moves], pieces[moves], layer.q, self.rng)
+            if not len(kept):
+                return EmptyPiece(moves, phases[number - 1].purpose if number else "start")
+            layer.q, layer.branches = layer.q[kept], layer.branches[kept]
+        return None
 
     def _bar(self, candidates: Candidates, phase: _Phase, key: tuple[int, int, int]) -> None:
         """Bars a phase that did not work out, and with it all between postures that lie in the same pieces.
@@ -330,6 +270,8 @@ class MotionPlanner:
         chosen = list(chosen)
         for _ in range(2):
             for i in range(1, len(chosen) - 1):
+                if phases[i - 1].purpose == "region":  # it might be drawn out of it
+                    continue
                 layer = candidates.layers[i]
                 own = layer.q[chosen[i]]
                 neighbours = [candidates.layers[j].q[chosen[j]] for j in (i - 1, i + 1)]
@@ -366,7 +308,7 @@ class MotionPlanner:
             paced.append(PacedPath(curve))
         began = clock.perf_counter()
         result = self._timed(phase, paced)
-        self.times["torque"] += clock.perf_counter() - began
+        self.seconds["torque"] += clock.perf_counter() - began
         return result
 
     def _timed(self, phase: _Phase, paced: list[PacedPath]) -> PhaseMotion | MoveFailure:
@@ -390,20 +332,14 @@ class MotionPlanner:
                 self.body.robot, self.body.wall, list(phase.manifold.contacts), dynamics, samples.vd
             )
             if torques.ok.all():
-                return PhaseMotion(
-                    phase.limb,
-                    phase.move,
-                    phase.manifold.contacts,
-                    samples,
-                    torques.force,
-                    torques.torque,
-                    torques.moment,
-                )
+                contacts = phase.manifold.contacts
+                forces = torques.force, torques.torque, torques.moment
+                return PhaseMotion(phase.limb, phase.move, contacts, samples, *forces)
             why = torques.reason
             slowing *= 1.4
 
     def _chained(self, phases: list[PhaseMotion]) -> list[PhaseMotion]:
-        """The phases one after the other in time, the pelvis's angle continuous."""
+        """The phases one after the other in time, the pelvis's angle continuous, and shifts on one stance made one."""
         angle = int(self.body.robot.base_q[-1])
         result: list[PhaseMotion] = []
         for phase in phases:
@@ -414,8 +350,18 @@ class MotionPlanner:
                 q[:, angle] += unwound(q[0], before.q[-1], angle)[angle] - q[0, angle]
                 samples = replace(samples, time=samples.time + before.time[-1], q=q)
             result.append(replace(phase, samples=samples))
-        return result
+        return [_merged(list(group)) for _, group in groupby(result, key=lambda phase: (phase.move, phase.limb))]
 
 
-def _ordered(contacts: Sequence[Contact] | set[Contact]) -> tuple[Contact, ...]:
-    return tuple(sorted(contacts, key=lambda contact: contact.limb))
+def _merged(phases: list[PhaseMotion]) -> PhaseMotion:
+    """Phases on the same contacts, one after the other, as one; the robot rests where they meet."""
+    if len(phases) == 1:
+        return phases[0]
+
+    def stacked(parts: list[Vector]) -> Vector:
+        return np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
+
+    samples = [phase.samples for phase in phases]
+    merged = Samples(*(stacked([getattr(s, name) for s in samples]) for name in ("time", "q", "v", "vd")))
+    force, torque, moment = (stacked([getattr(p, name) for p in phases]) for name in ("force", "torque", "moment"))
+    return replace(phases[0], samples=merged, force=force, torque=torque, moment=moment)

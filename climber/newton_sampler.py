@@ -32,9 +32,9 @@ class NewtonSampler:
         self._reach = body.robot.reach[sorted(manifold.points)]
         self._closure = Closure(body.kinematics, manifold.points)
 
-    def unreachable(self) -> bool:
-        """Whether it is certain that no pelvis pose lets all limbs reach their holds."""
-        return not bool(disks_meet(self._feet[None], self._reach)[0])
+    def unreachable(self, spare: float = 0.0) -> bool:
+        """Whether no pelvis pose can let all limbs reach, even with feet as far as `spare` [m] from their points."""
+        return not bool(disks_meet(self._feet[None], self._reach + spare)[0])
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Vector, NDArray[np.int64], Vector, int]:
         """Draws `count` configurations, takes them to the contacts and keeps those that are feasible there.

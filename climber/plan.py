@@ -2,12 +2,12 @@
 
     scenario -> wall, robot -> stance graph -> task plan -> transitions -> motions -> plan
                                    ^                              |             |
-                                   +---- cut the moves that failed, ask again --+
+                                   +---- what failed is learnt, and asked again +
 
 The task planner proposes the cheapest of the shortest climbs on the stance graph. Every move of it must have postures
-to let go and to take hold in, and then a motion; a move that has not is cut, with the reason, and the task planner
-asked again.
-What it returns is shortest and cheapest on the graph less the cuts.
+to let go and to take hold in, and then a motion. What has not is cut, or barred from a piece of the stance's postures,
+with the reason, and the task planner asked again. What it returns is shortest and cheapest on the graph less these.
+Where searches gave up for want of time rather than by proof and nothing is left, all of it is tried again, harder.
 """
 
 from __future__ import annotations
@@ -17,25 +17,30 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
+from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from climber.exceptions import NoPlanFound
 from climber.graph import StanceGraph, build_stance_graph
+from climber.lessons import Lessons, OnFailure
 from climber.manifold import Body
-from climber.motion import MotionBudget, MotionPlanner, MoveFailure, PhaseMotion
+from climber.motion import DeadEnd, EmptyPiece, MotionBudget, MotionPlanner, PhaseMotion, Regions
 from climber.plan_file import Cut, Phase, PhaseContact, Plan, RobotPlan
 from climber.prune import impossible_moves
+from climber.regrasp import rigid, with_regrasps
 from climber.robot import Model, Robot
-from climber.scenario import Scenario, check_against_robot
+from climber.scenario import Place, Scenario, check_against_robot
 from climber.stance import Move, Stance
 from climber.start import start_postures
-from climber.task import Impossible, OutOfTime, TaskPlan, TaskPlanner
+from climber.task import Impossible, OutOfTime, RobotTask, TaskPlan, TaskPlanner, Walk
+from climber.transition import Failure
+from climber.transitions import Effort, MoveFailure, TransitionFinder
 
 Report = Callable[[str], None]
 SOFTWARE = ("climber-drake", "drake", "clingo", "clarabel", "numpy", "scipy", "shapely")
+EFFORTS = (1, 4)  # multiples of the budget for postures and paths that are spent before giving up
 
 
 def plan_climb(
@@ -62,19 +67,22 @@ def plan_climb(
         NoPlanFound: If there is no climb (`proved`), or none was found within the budget.
     """
     seed = scenario.seed if seed is None else seed
-    search = _ClimbSearch(scenario, seed, scenario.budget.time_limit_s if time_limit is None else time_limit, report)
+    if len(scenario.robots) > 1:
+        raise scenario.error("robots", f"{len(scenario.robots)} robots", "one robot; teams are not planned for as yet")
+    search = ClimbSearch(scenario, seed, scenario.budget.time_limit_s if time_limit is None else time_limit, report)
     robot_plan = search.run()
     return Plan(
         scenario_path=scenario.file,
         scenario_text=scenario.source,
         seed=seed,
         robots=(robot_plan,),
-        software=_software(),
+        software=software(),
         timings={name: round(seconds, 4) for name, seconds in search.timings().items()},
     )
 
 
-def _software() -> dict[str, str]:
+def software() -> dict[str, str]:
+    """Version of each program that has a part in a plan."""
     versions = {"python": python_version()}
     for name in SOFTWARE:
         try:
@@ -85,151 +93,217 @@ def _software() -> dict[str, str]:
 
 
 @dataclass
-class _ClimbSearch:
-    """One robot's search for a climb, and its record."""
+class ClimbSearch:
+    """One robot's search for a climb, and its record.
+
+    Attributes:
+        scenario: The scenario.
+        seed: Of all random numbers.
+        time_limit: [s].
+        report: Called with news.
+        index: Which of the scenario's robots.
+        cuts: What was given up, in order.
+    """
 
     scenario: Scenario
     seed: int
     time_limit: float
     report: Report
+    index: int = 0
     cuts: list[Cut] = field(default_factory=list)
-    times: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.began = clock.perf_counter()
+        self.times = {"graph": 0.0, "task": 0.0}
         scenario = self.scenario
-        _refuse_what_comes_later(scenario)
-        self.spec = scenario.robots[0]
+        self.spec = scenario.robots[self.index]
         wall = scenario.build_wall()
         # What this robot must not enter is an obstacle to it.
         off_limits = tuple(region.outline() for region in self.spec.avoid.regions)
         wall = replace(wall, obstacles=wall.obstacles + off_limits)
         self.robot = Robot(Model.load(self.spec.model, scenario.folder), wall.gravity)
-        check_against_robot(scenario, 0, self.robot.limb_names, self.robot.joint_limits)
+        check_against_robot(scenario, self.index, self.robot.limb_names, self.robot.joint_limits)
         self.body = Body(self.robot, wall)
-        budget = scenario.budget
-        self.planner = MotionPlanner(
-            self.body,
-            np.random.default_rng(self.seed),
-            MotionBudget(
-                samples=budget.posture_samples,
-                postures=budget.postures,
-                attempts=budget.path_attempts,
-                iterations=budget.path_iterations,
-                rate=budget.sample_rate_hz,
-                slowest=budget.longest_phase_s,
-            ),
+        self.finder = TransitionFinder(self.body, np.random.default_rng(self.seed), self._effort(1))
+        self.planner = MotionPlanner(self.finder, self._motion_budget(1))
+        self.stance = Stance(tuple(self.spec.start[name] for name in self.robot.limb_names))
+        self.start = start_postures(scenario, self.index, self.finder, self.stance)
+
+    def _effort(self, multiple: int) -> Effort:
+        budget = self.scenario.budget
+        return Effort(multiple * budget.posture_samples, multiple * budget.postures)
+
+    def _motion_budget(self, multiple: int) -> MotionBudget:
+        budget = self.scenario.budget
+        return MotionBudget(
+            attempts=multiple * budget.path_attempts,
+            iterations=multiple * budget.path_iterations,
+            rate=budget.sample_rate_hz,
+            slowest=budget.longest_phase_s,
         )
-        self.start = Stance(tuple(self.spec.start[name] for name in self.robot.limb_names))
-        self.region: BaseGeometry | None = None if self.spec.goal.pelvis is None else self.spec.goal.pelvis.inside()
 
     def timings(self) -> dict[str, float]:
         """Seconds spent in each stage, and in all."""
-        return {**self.times, **self.planner.times, "total": clock.perf_counter() - self.began}
+        spent = {**self.times, "transitions": self.finder.seconds, **self.planner.seconds}
+        return {**spent, "total": clock.perf_counter() - self.began}
 
     def run(self) -> RobotPlan:
-        """Plans, cuts and plans again until a climb has a motion or there is none left."""
-        start = start_postures(self.scenario, 0, self.planner, self.start)
-        graph, tasks = self._graph()
-        for _ in range(self.scenario.budget.replans + 1):
-            proposal = self._propose(graph, tasks)
-            moves = decode(graph, self.start, proposal.edges)
-            failures = self.planner.survey(start.contacts, moves)
-            if not failures:
-                self.report(f"{len(moves)} moves of cost {proposal.cost} have postures at every transition")
-                outcome = self.planner.plan(start, moves, self.region)
-                if not isinstance(outcome, MoveFailure):
-                    return self._robot_plan(graph, proposal, moves, outcome)
-                failures = [outcome]
-            for failure in failures:
-                self._cut(graph, tasks, proposal, moves, failure)
-        raise self._none("the task planner was asked as often as the budget allows", graph, proved=False)
-
-    def _graph(self) -> tuple[StanceGraph, TaskPlanner]:
+        """Plans, learns from what failed and plans again until a climb has a motion or there is none left."""
         began = clock.perf_counter()
-        graph = build_stance_graph(self.body.wall, self.robot, self.start, self.scenario.cost)
-        goal = self.spec.goal
-        stance = None if goal.stance is None else Stance(tuple(goal.stance[name] for name in self.robot.limb_names))
-        goals = graph.goal_vertices(holds=goal.holds, stance=stance, region=self.region)
-        tasks = TaskPlanner(graph.num_vertices, graph.tail, graph.head, graph.cost, graph.start, goals.tolist())
-        tasks.cut(impossible_moves(graph, self.robot, self.body.wall, goals))
-        if self.spec.avoid.holds:
-            avoided = np.isin(graph.stances[graph.head], self.spec.avoid.holds).any(axis=1)
-            tasks.cut(np.flatnonzero(avoided))
+        self.graph = build_stance_graph(self.body.wall, self.robot, self.stance, self.scenario.cost)
+        if rigid(self.body):  # no shift leads from one posture of a stance to another
+            self.graph = with_regrasps(self.graph, self.body, self.scenario.cost)
         self.times["graph"] = clock.perf_counter() - began
-        self.times["task"] = 0.0
-        self.report(f"stance graph: {graph.num_vertices} stances, {graph.num_edges} moves, {len(goals)} goal stances")
-        return graph, tasks
+        self.report(f"stance graph: {self.graph.num_vertices} stances, {self.graph.num_edges} moves")
+        reason = ""
+        for effort in EFFORTS:
+            self.finder.try_harder(self._effort(effort))
+            self.planner.budget = self._motion_budget(effort)
+            answer = self._search()
+            if isinstance(answer, RobotPlan):
+                return answer
+            reason = answer.reason
+            if all(cut.kind == "proved" for cut in self.cuts):
+                raise self._none(reason, proved=True)
+            self.report(f"{reason}; where searches gave up, they are made again with more effort")
+        raise self._none(reason, proved=False)
 
-    def _propose(self, graph: StanceGraph, tasks: TaskPlanner) -> TaskPlan:
+    def task(self) -> RobotTask:
+        """What the task planner is asked for this robot."""
+        graph, spec = self.graph, self.spec
+        return RobotTask(
+            graph.num_vertices,
+            graph.tail,
+            graph.head,
+            graph.cost,
+            graph.start,
+            self.vertices(spec.goal),
+            graph.stances,
+            tuple(self.vertices(place) for place in spec.waypoints),
+            spec.waypoint_order == "given",
+        )
+
+    def vertices(self, place: Place) -> np.typing.NDArray[np.int32]:
+        """The vertices that a goal or waypoint stands for."""
+        stance = None if place.stance is None else Stance(tuple(place.stance[name] for name in self.robot.limb_names))
+        region = None if place.pelvis is None else place.pelvis.inside()
+        return self.graph.goal_vertices(holds=place.holds, stance=stance, region=region)
+
+    def _search(self) -> RobotPlan | Impossible:
+        """Searches with the effort set, having forgotten what was given up on but not what was proved."""
+        began = clock.perf_counter()
+        tasks = TaskPlanner([self.task()])
+        lessons = Lessons(self.graph, tasks, cast(OnFailure, self.scenario.on_failure))
+        ends = None if self.spec.waypoints else self.vertices(self.spec.goal)
+        tasks.cut(impossible_moves(self.graph, self.robot, self.body.wall, ends))
+        if self.spec.avoid.holds:
+            tasks.cut(np.flatnonzero(np.isin(self.graph.stances[self.graph.head], self.spec.avoid.holds).any(axis=1)))
+        self.times["task"] += clock.perf_counter() - began
+        for _ in range(self.scenario.budget.replans + 1):
+            proposal = self._propose(tasks)
+            if isinstance(proposal, Impossible):
+                return proposal
+            (walk,) = proposal.walks
+            moves = decode(self.graph, self.stance, walk.edges)
+            failures = self.finder.survey(self.start.contacts, moves)
+            for failure in failures:
+                self._record(moves, failure.index, failure.failure, failure.stage, failure.end)
+                lessons.no_posture(walk, failure)
+            if failures:
+                continue
+            self.report(f"{len(moves)} moves of cost {proposal.cost} have postures at every transition")
+            stances = [self.stance, *(move.end for move in moves)]
+            outcome = self.planner.plan(self.start, moves, self.regions(walk), lessons.choices(walk, stances))
+            if isinstance(outcome, list):
+                return self.robot_plan(proposal, walk, moves, outcome)
+            self._learn(lessons, walk, moves, outcome)
+        raise self._none("the task planner was asked as often as the budget allows", proved=False)
+
+    def regions(self, walk: Walk) -> Regions:
+        """Where the pelvis must come to rest, by how many moves are complete: waypoints, and at last the goal."""
+        stops: dict[int, list[BaseGeometry | None]] = {}
+        visits = sorted(zip(walk.visits, self.spec.waypoints, strict=True), key=lambda visit: visit[0])
+        for after, place in visits:
+            if place.pelvis is not None:
+                stops.setdefault(after, []).append(place.pelvis.inside())
+        goal = self.spec.goal.pelvis
+        stops.setdefault(len(walk.edges), []).append(None if goal is None else goal.inside())
+        return stops
+
+    def _learn(
+        self, lessons: Lessons, walk: Walk, moves: list[Move], outcome: MoveFailure | DeadEnd | EmptyPiece
+    ) -> None:
+        """Records why a climb has no motion, and tells the task planner."""
+        if isinstance(outcome, MoveFailure):
+            self._record(moves, outcome.index, outcome.failure, outcome.stage, outcome.end)
+            lessons.no_posture(walk, outcome)
+        elif isinstance(outcome, DeadEnd):
+            failure = outcome.failure
+            self._record(moves, failure.index, failure.failure, failure.stage, outcome.purpose)
+            lessons.dead_end(walk, outcome)
+        else:
+            reason = Failure("budget", "no posture found in the piece of the stance's postures that was left")
+            index = outcome.index - (outcome.missing == "swing")
+            self._record(moves, index, reason, "motion", outcome.missing)
+            lessons.empty_piece(walk, outcome)
+
+    def _propose(self, tasks: TaskPlanner) -> TaskPlan | Impossible:
         """The cheapest of the shortest climbs on what is left of the graph."""
         left = self.time_limit - (clock.perf_counter() - self.began)
-        if left <= 0:
-            raise self._none(f"the time limit of {self.time_limit:g} s came first", graph, proved=False)
-        began = clock.perf_counter()
-        answer = tasks.plan(time_limit=left)
-        self.times["task"] += clock.perf_counter() - began
-        if isinstance(answer, OutOfTime):
-            raise self._none(f"the time limit of {self.time_limit:g} s came first", graph, proved=False)
-        if isinstance(answer, Impossible):
-            proved = all(cut.kind == "proved" for cut in self.cuts)
-            raise self._none(answer.reason, graph, proved=proved)
+        answer = None
+        if left > 0:
+            began = clock.perf_counter()
+            answer = tasks.plan(time_limit=left)
+            self.times["task"] += clock.perf_counter() - began
+        if answer is None or isinstance(answer, OutOfTime):
+            raise self._none(f"the time limit of {self.time_limit:g} s came first", proved=False)
         return answer
 
-    def _none(self, reason: str, graph: StanceGraph, *, proved: bool) -> NoPlanFound:
+    def _none(self, reason: str, *, proved: bool) -> NoPlanFound:
         budget = sum(cut.kind == "budget" for cut in self.cuts)
-        answer = "no climb exists" if proved else "no climb was found, which does not prove that none exists"
+        verdict = (
+            "no climb exists on the stance graph"
+            if proved
+            else "no climb was found, which does not prove that none exists"
+        )
         cuts = (
             f"{len(self.cuts)} moves were given up, {budget} of them because a search ended without finding any motion"
         )
         return NoPlanFound(
-            f"{self.scenario.name}: {answer}: {reason}; {cuts if self.cuts else 'no move was given up'}",
+            f"{self.scenario.name}: {verdict}: {reason}; {cuts if self.cuts else 'no move was given up'}",
             proved=proved,
             cuts=self.cuts,
-            counts=graph.counts,
+            counts=self.graph.counts,
         )
 
-    def _cut(
-        self, graph: StanceGraph, tasks: TaskPlanner, proposal: TaskPlan, moves: list[Move], failure: MoveFailure
-    ) -> None:
-        """Takes the failed move out of the graph, and with it every move that fails for the same reason."""
-        # A final shift that fails condemns the stance it ends in, which is to say every move into it.
-        index = min(failure.index, len(moves) - 1)
+    def _record(self, moves: list[Move], index: int, failure: Failure, stage: str, where: str | None) -> None:
+        """Notes a move that was given up, or the last one if the trouble is at the end."""
         if not moves:
-            raise self._none(f"the pelvis cannot reach its goal: {failure.failure.reason}", graph, proved=False)
-        edge, move = proposal.edges[index], moves[index]
-        if failure.index == len(moves):
-            edges = np.flatnonzero(graph.head == graph.head[edge])
-        elif failure.end == "leave":
-            # No posture lets this limb go here, wherever it goes.
-            same = graph.tail == graph.tail[edge]
-            edges = np.flatnonzero(same & (released(graph) == move.released))
-        elif failure.end == "arrive":
-            # No posture has this limb just arrived here, wherever it comes from.
-            same = graph.head == graph.head[edge]
-            edges = np.flatnonzero(same & (taken(graph) == move.hold))
-        else:
-            edges = np.array([edge])
-        tasks.cut(edges)
-        limbs = self.robot.limb_names
+            raise self._none(f"the pelvis cannot reach its goal: {failure.reason}", proved=False)
+        move, limbs = moves[min(index, len(moves) - 1)], self.robot.limb_names
+        told = {
+            "leave": "letting go",
+            "arrive": "taking hold",
+            "let go": "shifting to let go",
+            "swing": "swinging",
+            "region": "bringing the pelvis where it must be",
+        }.get(where or "", "on the way")
         self.cuts.append(
             Cut(
                 stance=dict(zip(limbs, move.start.holds, strict=True)),
                 limb=limbs[move.limb],
                 hold=move.hold,
-                reason=failure.failure.reason,
-                kind=failure.failure.kind,
-                stage=failure.stage,
+                reason=f"{told}: {failure.reason}",
+                kind=failure.kind,
+                stage=stage,  # type: ignore[arg-type]
             )
         )
-        where = {"leave": "letting go", "arrive": "taking hold", None: "on the way"}[failure.end]
-        self.report(f"cut {limbs[move.limb]} from {move.released} to {move.hold} ({where}): {failure.failure.reason}")
+        self.report(f"gave up {limbs[move.limb]} from {move.released} to {move.hold}, {told}: {failure.reason}")
 
-    def _robot_plan(
-        self, graph: StanceGraph, proposal: TaskPlan, moves: list[Move], motions: list[PhaseMotion]
-    ) -> RobotPlan:
+    def robot_plan(self, proposal: TaskPlan, walk: Walk, moves: list[Move], motions: list[PhaseMotion]) -> RobotPlan:
+        """The plan of this robot, as it goes into the file."""
         robot, limbs = self.robot, self.robot.limb_names
-        stances = [self.start, *(move.end for move in moves)]
+        stances = [self.stance, *(move.end for move in moves)]
         return RobotPlan(
             name=self.spec.name,
             model=self.spec.model,
@@ -238,11 +312,11 @@ class _ClimbSearch:
             velocities=robot.velocity_names,
             joints=robot.joint_names,
             moves=len(moves),
-            cost=proposal.cost,
+            cost=walk.cost,
             stances=tuple(dict(zip(limbs, stance.holds, strict=True)) for stance in stances),
             phases=tuple(self._phase(motion) for motion in motions),
             cuts=tuple(self.cuts),
-            counts={name: int(count) for name, count in graph.counts.items()},
+            counts={name: int(count) for name, count in self.graph.counts.items()},
             proofs={
                 "moves": proposal.proofs.makespan_proved,
                 "cost": proposal.proofs.cost_proved,
@@ -267,22 +341,9 @@ class _ClimbSearch:
         )
 
 
-def released(graph: StanceGraph) -> NDArray[np.int32]:
-    """The hold that each edge's limb leaves, shape (E,)."""
-    result: NDArray[np.int32] = graph.stances[graph.tail, graph.limb]
-    return result
-
-
-def taken(graph: StanceGraph) -> NDArray[np.int32]:
-    """The hold that each edge's limb takes, shape (E,)."""
-    sums = graph.stances.sum(axis=1)
-    result: NDArray[np.int32] = sums[graph.head] - sums[graph.tail] + released(graph)
-    return result
-
-
 def decode(graph: StanceGraph, start: Stance, edges: tuple[int, ...]) -> list[Move]:
     """The moves of ordered stances that a walk through the graph stands for, from the start stance itself."""
-    old, new = released(graph), taken(graph)
+    old, new = graph.released, graph.taken
     moves: list[Move] = []
     stance = start
     for edge in edges:
@@ -290,14 +351,3 @@ def decode(graph: StanceGraph, start: Stance, edges: tuple[int, ...]) -> list[Mo
         moves.append(move)
         stance = move.end
     return moves
-
-
-def _refuse_what_comes_later(scenario: Scenario) -> None:
-    """Says so rather than ignore what is not planned for as yet."""
-    if len(scenario.robots) > 1:
-        raise scenario.error("robots", f"{len(scenario.robots)} robots", "one robot; teams are not planned for as yet")
-    robot = scenario.robots[0]
-    if robot.waypoints:
-        raise scenario.error("robots[0].waypoints", len(robot.waypoints), "none; they are not planned for as yet")
-    if taken_at_start := sorted(set(robot.start.values()) & set(robot.avoid.holds)):
-        raise scenario.error("robots[0].avoid.holds", taken_at_start, "holds that the robot does not start on")

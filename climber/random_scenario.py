@@ -16,7 +16,6 @@ from climber.exceptions import ClimberError
 from climber.graph import StanceGraph, build_stance_graph
 from climber.holdsets import Ints
 from climber.manifold import Body
-from climber.motion import MotionPlanner
 from climber.poses import Rotations, find_poses
 from climber.programs.support import hold_set_intervals
 from climber.prune import distances, impossible_moves, out_of_reach
@@ -25,6 +24,7 @@ from climber.robot import Model, Robot
 from climber.scenario_fields import CircleSpec, CostWeights, RegionSpec
 from climber.stance import Contact, Stance, Vector
 from climber.transition import Postures
+from climber.transitions import TransitionFinder
 
 NEIGHBOURS = 24  # holds around a place that stances there are made of
 TRIES = 12  # stances that can be held, tried at most at either end
@@ -62,7 +62,7 @@ def find_climb(recipe: Recipe, model: str, folder: Path | None = None) -> Random
     """
     wall = make_wall(recipe)
     robot = Robot(Model.load(model, folder), wall.gravity)
-    planner = MotionPlanner(Body(robot, wall), np.random.default_rng(recipe.seed))
+    finder = TransitionFinder(Body(robot, wall), np.random.default_rng(recipe.seed))
     width, height = recipe.size
     if (room := float(robot.reach.max())) > height:
         raise ClimberError(
@@ -70,7 +70,7 @@ def find_climb(recipe: Recipe, model: str, folder: Path | None = None) -> Random
             f"take more holds, a smaller density or a greater aspect"
         )
     places = np.array([[width / 2, room / 2], [width / 2, height - room / 2]])
-    starts, tops = (list(_held(planner, end)) for end in places)
+    starts, tops = (list(_held(finder, end)) for end in places)
     if not starts or not tops:
         where = "top" if starts else "bottom"
         raise ClimberError(
@@ -94,9 +94,9 @@ def find_climb(recipe: Recipe, model: str, folder: Path | None = None) -> Random
     )
 
 
-def _held(planner: MotionPlanner, place: Vector) -> Iterator[Postures]:
+def _held(finder: TransitionFinder, place: Vector) -> Iterator[Postures]:
     """Postures on stances around a place in the wall plane that can be held, the nearest and most upright first."""
-    body = planner.body
+    body = finder.body
     wall, robot = body.wall, body.robot
     positions = wall.positions[:, :2]
     near = np.sort(np.linalg.norm(positions - place, axis=1).argsort()[:NEIGHBOURS])
@@ -116,7 +116,7 @@ def _held(planner: MotionPlanner, place: Vector) -> Iterator[Postures]:
     upright = (away * hips).sum(axis=2).mean(axis=1)  # 1 if every limb points where its hip does
     held = 0
     for holds in stances[np.argsort(np.linalg.norm(centers - place, axis=1) - robot.reach.max() * upright)].tolist():
-        found = planner.standing(tuple(Contact(limb, hold) for limb, hold in enumerate(holds)))
+        found = finder.standing(tuple(Contact(limb, hold) for limb, hold in enumerate(holds)))
         if found.failure is None:
             yield found
             held += 1

@@ -198,10 +198,11 @@ class RobotSpec:
         name: Its name in plans and pictures, of letters, digits, `_` and `-`; no two robots share one.
         model: URDF or SDF file, `package://climber/...` or a path from the scenario's folder.
         start: The hold of every limb at the start, by limb name.
-        start_posture: Joint angles at the start by joint name [rad], met within 0.001 rad, since angles written down are
+        start_posture: Joint angles at the start by joint name [rad], met within 0.001 rad, since written angles are
             rounded and feet are not to leave their holds; joints that are not named may be anywhere.
         goal: Where it must end.
-        waypoints: Where it must have been on the way, in this order.
+        waypoints: Where it must have been, at rest, on the way.
+        waypoint_order: "any" visits the waypoints in the order that is best, "given" in the order of the list.
         avoid: What it must keep off.
     """
 
@@ -211,6 +212,7 @@ class RobotSpec:
     start_posture: dict[str, float] = field(default_factory=dict)
     goal: Place = field(default_factory=Place, metadata=rule(required=True))
     waypoints: list[Place] = field(default_factory=list)
+    waypoint_order: str = field(default="any", metadata=rule(choices=("any", "given")))
     avoid: AvoidSpec = field(default_factory=AvoidSpec)
 
 
@@ -266,6 +268,8 @@ class ScenarioFields:
         robots: The robots.
         cost: Weights of the costs.
         budget: What planning may spend.
+        on_failure: What a motion that failed means to the task planner: "refine" bars its move from the piece of the
+            stance's postures it was tried from, "cut" deletes the move, "penalise" makes it dearer.
     """
 
     name: str = ""
@@ -275,3 +279,4 @@ class ScenarioFields:
     robots: list[RobotSpec] = field(default_factory=list, metadata=rule(required=True, empty=False))
     cost: CostWeights = field(default_factory=CostWeights)
     budget: Budget = field(default_factory=Budget)
+    on_failure: str = field(default="refine", metadata=rule(choices=("refine", "cut", "penalise")))

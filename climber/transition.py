@@ -126,11 +126,12 @@ class PostureSampler:
         self._combinations = np.array(list(itertools.product(*(range(count) for count in counts))))
 
     @cached_property
-    def _angles(self) -> tuple[Vector, Vector, Vector]:
-        """Pelvis angles at which the hips could reach, with the centre and radius of where the pelvis may then be.
+    def _cells(self) -> tuple[Vector, Vector, Vector, float]:
+        """For each cell of the pelvis's angle its middle, and the circle around where the hips would have the pelvis.
 
         At a fixed angle limb i reaches its hold iff the pelvis lies in a disk; the disks meet iff the smallest circle
-        around their centres is no larger than they are. They lie within sqrt(L^2 - R^2) of its centre.
+        around their centres is no larger than they are. The last value is how large they are [m], with room for the
+        angles in a cell, so that a cell whose circle is larger holds no solution at all.
         """
         step = 2 * np.pi / self.CELLS
         angle = -np.pi + step * (np.arange(self.CELLS) + 0.5)
@@ -140,15 +141,28 @@ class PostureSampler:
         hips = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
         feet = np.array([self.manifold.points[i][:2] for i in self._holding])
         center, radius = _enclosing_circles(feet - hips)
-        # Within a cell the hips move by at most this, so a cell that is dropped holds no solution at all.
         length = lengths.max() + np.linalg.norm(hips_in_pelvis, axis=1).max() * step / 2
+        return np.asarray(angle, dtype=float), center, radius, float(length)
+
+    @cached_property
+    def _angles(self) -> tuple[Vector, Vector, Vector]:
+        """Pelvis angles at which the hips could reach, with the centre and radius of where the pelvis may then be.
+
+        Disks of radius L around points whose smallest circle has radius R meet within sqrt(L^2 - R^2) of its centre.
+        """
+        angle, center, radius, length = self._cells
         possible = radius <= length
         spread = np.sqrt(np.maximum(length**2 - radius**2, 0.0))
         return angle[possible], center[possible], spread[possible]
 
-    def unreachable(self) -> bool:
-        """Whether it is certain that no pelvis pose lets all limbs reach their holds."""
-        return not len(self._angles[0])
+    def unreachable(self, spare: float = 0.0) -> bool:
+        """Whether it is certain that no pelvis pose lets all limbs reach their holds.
+
+        Args:
+            spare: The feet may each be so far from where the manifold has them [m].
+        """
+        _, _, radius, length = self._cells
+        return bool((radius > length + spare).all())
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Vector, Branches, Vector, int]:
         """Draws `count` pelvis poses and keeps the feasible postures among all their branches.
@@ -259,13 +273,16 @@ def find_transition(
     holding = support_interval(body, [c for c in ordered if c.limb != limb])
     touching = support_interval(body, ordered)
     name = body.robot.limbs[limb].name
+    # A proof must hold wherever on their patches the feet stand, not only where they do.
+    spare = max(body.wall.holds[c.hold].half_width + abs(c.offset) for c in ordered)
     if holding is None or touching is None:
         who = f"the limbs other than {name}" if holding is None else "all limbs"
         return Postures(ordered, *empty, Failure("proved", f"no forces of {who} balance gravity"))
     gap = max(holding[0], touching[0]) - min(holding[1], touching[1])
     if gap > 0:
         reason = f"the support intervals with and without {name} lie {gap:.4f} m apart"
-        return Postures(ordered, *empty, Failure("proved", reason))
+        # On patches the feet might stand elsewhere, where the intervals are a little different.
+        return Postures(ordered, *empty, Failure("budget" if spare else "proved", reason))
     both = between(
         Manifold(body, [c for c in ordered if c.limb != limb], holding, margins),
         Manifold(body, ordered, touching, margins),
@@ -276,7 +293,7 @@ def find_transition(
     sampler = posture_sampler(body, both)
     if sampler.unreachable():
         reason = "at no angle of the pelvis do all limbs reach their holds"
-        return Postures(ordered, *empty, Failure("proved", reason))
+        return Postures(ordered, *empty, Failure("proved" if sampler.unreachable(spare) else "budget", reason))
     reachable = drawn = 0
     for count in rounds:
         q, branches, slack, with_inverse = sampler.draw(rng, count)

@@ -114,9 +114,11 @@ class StructureChecks:
         return self._tree.pelvis(self._tree.poses(self._samples[number].q))[:, :2]
 
     def _waypoints(self) -> None:
-        """Each waypoint is met at rest with all limbs on, the next one not before it."""
+        """Each waypoint is met at rest with all limbs on; in the given order, the next one not before it."""
         missed, reached = [], (0, 0)
         for place in self._spec.waypoints:
+            if self._spec.waypoint_order == "any":
+                reached = (0, 0)
             found = next((moment for moment in self._rests(reached) if self._meets(place, moment)), None)
             if found is None:
                 missed.append(f"{self._plan.name}: {place.name or 'a waypoint'} is not reached after its predecessors")

@@ -13,7 +13,7 @@ from climber.atlas import atlas_path
 from climber.curve import rounded
 from climber.graph import build_stance_graph
 from climber.manifold import Body, Chart, Manifold, Margins
-from climber.motion import MotionBudget, MotionPlanner, MoveFailure, PhaseMotion
+from climber.motion import DeadEnd, EmptyPiece, MotionBudget, MotionPlanner, PhaseMotion
 from climber.newton import Closure, NewtonChart
 from climber.newton_sampler import NewtonSampler
 from climber.path import Search, find_path, unwound
@@ -24,6 +24,7 @@ from climber.stance import Contact, Move, Stance, Vector
 from climber.start import start_postures
 from climber.timing import rates
 from climber.transition import PostureSampler
+from climber.transitions import MoveFailure, TransitionFinder
 from climber.wall import Hold, Wall
 
 HOLDS = ((-0.15, -0.15), (0.15, -0.15), (0.15, 0.15), (-0.15, 0.15))
@@ -77,12 +78,13 @@ def moves_of(*moves: tuple[int, int]) -> list[Move]:
 TO_2, AGAIN, TO_3 = (1, 2), (0, 1), (1, 3)
 
 
-def planned(*moves: tuple[int, int], seed: int = 0) -> list[PhaseMotion] | MoveFailure:
+def planned(*moves: tuple[int, int], seed: int = 0) -> list[PhaseMotion] | MoveFailure | DeadEnd | EmptyPiece:
     """What the motion planner makes of a sequence of moves."""
-    planner = MotionPlanner(double_link(), np.random.default_rng(seed), MotionBudget(iterations=400))
-    start = start_postures(scenario(), 0, planner, Stance((1, 0)))
-    assert not planner.survey(start.contacts, moves_of(*moves))
-    return planner.plan(start, moves_of(*moves), None)
+    finder = TransitionFinder(double_link(), np.random.default_rng(seed))
+    start = start_postures(scenario(), 0, finder, Stance((1, 0)))
+    assert not finder.survey(start.contacts, moves_of(*moves))
+    planner = MotionPlanner(finder, MotionBudget(iterations=400))
+    return planner.plan(start, moves_of(*moves), {len(moves): [None]})
 
 
 # --- projection ------------------------------------------------------------------------------------------------------
@@ -365,13 +367,13 @@ def test_stance_graph_contains_the_short_climb() -> None:
 @pytest.mark.parametrize("moves", [(TO_3,), (TO_2, TO_3)], ids=["1-2-4", "1-2-3 without coming back"])
 def test_short_climbs_have_no_motion(moves: tuple[tuple[int, int], ...]) -> None:
     outcome = planned(*moves)
-    assert isinstance(outcome, MoveFailure)
+    assert isinstance(outcome, DeadEnd)
     assert outcome.index == len(moves) - 1 and outcome.stage == "motion"
 
 
 def test_the_climb_that_comes_back_has_all_its_motions() -> None:
     outcome = planned(TO_2, AGAIN, TO_3)
-    assert not isinstance(outcome, MoveFailure)
+    assert isinstance(outcome, list)
     hanging_from = [phase.contacts[0].hold for phase in outcome if phase.limb is not None]
     assert hanging_from == [1, 2, 1]  # hold 1, Bretl's 2, is visited twice
     joint = [phase.samples.q[0, 3] for phase in outcome if phase.limb is None]

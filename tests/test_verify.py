@@ -302,11 +302,15 @@ def test_a_goal_by_limb_is_checked_limb_by_limb() -> None:
     ) == {"goal"}
 
 
-def test_waypoints_must_come_in_their_order() -> None:
+def test_waypoints_must_come_in_their_order_if_one_is_given() -> None:
     first = "  - {name: before the swing, pelvis: {circle: {center: [-0.012, 0.004], radius: 0.001}}}\n"
     second = "  - {name: at the end, holds: [1, 2, 3, 4]}\n"
     assert verify(retold(step_plan(), first, first + second)).ok
-    assert failing(retold(step_plan(), first, second + first).to_json()) == {"waypoints"}
+    assert verify(retold(step_plan(), first, second + first)).ok
+    given = "  waypoint_order: given\n  waypoints:\n"
+    in_order = retold(step_plan(), "  waypoints:\n", given)
+    assert verify(retold(in_order, first, first + second)).ok
+    assert failing(retold(in_order, first, second + first).to_json()) == {"waypoints"}
 
 
 def two_standing(apart: float, late: float = 0.0) -> Plan:

@@ -1,0 +1,179 @@
+"""Everything a climb needs to know about postures at its instants, looked for once and remembered."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from climber.manifold import Body, Manifold, Margins
+from climber.programs.torque import static_feasible
+from climber.stance import Contact, Move
+from climber.transition import Failure, Postures, find_transition, posture_sampler, support_interval
+
+Stage = Literal["transition", "motion", "torque"]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How hard postures are looked for.
+
+    Attributes:
+        samples: Pelvis poses drawn at most while looking for a posture.
+        postures: Candidate postures kept for each instant.
+    """
+
+    samples: int = 20_000
+    postures: int = 24
+
+    @property
+    def rounds(self) -> tuple[int, ...]:
+        """Pelvis poses drawn in successive rounds: a few settle most cases."""
+        return (*(n for n in (500, 4_000) if n < self.samples), self.samples)
+
+
+@dataclass(frozen=True)
+class MoveFailure:
+    """A move that could not be carried out, and which stage found out.
+
+    Attributes:
+        index: Which move of the sequence; its length if a last shift to the goal failed.
+        stage: The stage.
+        failure: Proved or out of budget, and why.
+        end: Which end of the move has no posture ("leave", "arrive"), None if the way between them is the trouble.
+    """
+
+    index: int
+    stage: Stage
+    failure: Failure
+    end: Literal["leave", "arrive"] | None = None
+
+
+class TransitionFinder:
+    """Transition postures of one robot on one wall, found when first asked for.
+
+    Attributes:
+        body: The robot on its wall.
+        rng: Source of random numbers.
+        effort: How hard to look.
+        margins: How far inside the limits.
+        seconds: Time spent so far [s].
+    """
+
+    def __init__(
+        self, body: Body, rng: np.random.Generator, effort: Effort | None = None, margins: Margins | None = None
+    ) -> None:
+        self.body, self.rng, self.effort, self.margins = body, rng, effort or Effort(), margins or Margins()
+        self.seconds = 0.0
+        self._found: dict[tuple[tuple[Contact, ...], int], Postures] = {}
+
+    def try_harder(self, effort: Effort) -> None:
+        """Looks with more effort from now on, also for what was given up on."""
+        self.effort = effort
+        self._found = {
+            key: found for key, found in self._found.items() if found.failure is None or found.failure.kind == "proved"
+        }
+
+    def transition(self, contacts: tuple[Contact, ...], limb: int) -> Postures:
+        """Postures on `contacts` in which `limb` may let go or has just taken hold; found once."""
+        key = (contacts, limb)
+        if key not in self._found:
+            began = clock.perf_counter()
+            found = find_transition(
+                self.body, contacts, limb, self.rng, self.margins, self.effort.rounds, self.effort.postures
+            )
+            holding = [c for c in contacts if c.limb != limb]
+            self._found[key] = self._carried(self._carried(found, holding), contacts)
+            self.seconds += clock.perf_counter() - began
+        return self._found[key]
+
+    def _carried(self, postures: Postures, contacts: Sequence[Contact]) -> Postures:
+        """Those of the postures that the contacts can carry with the torques there are."""
+        if not len(postures):
+            return postures
+        good = static_feasible(self.body.robot, self.body.wall, postures.q, list(contacts))
+        if good.all():
+            return postures
+        failure = None if good.any() else Failure("budget", f"none of {len(good)} postures can be held by the motors")
+        return Postures(postures.contacts, postures.q[good], postures.branches[good], postures.slack[good], failure)
+
+    def arrival(self, support: tuple[Contact, ...], limb: int, hold: int) -> Postures:
+        """Postures in which `limb` has just taken `hold`: at the patch's centre, or where else on it one exists."""
+        centre = Contact(limb, hold)
+        found = self.transition(ordered((*support, centre)), limb)
+        half_width = self.body.wall.holds[hold].half_width
+        if len(found) or half_width == 0.0:
+            return found
+        if found.failure is not None and found.failure.kind == "proved":  # wherever on the patch
+            return found
+        first = found
+        for share in (1.0, -1.0, 0.5, -0.5):
+            found = self.transition(ordered((*support, replace(centre, offset=share * half_width))), limb)
+            if len(found):
+                return found
+        assert first.failure is not None
+        return replace(
+            first, failure=replace(first.failure, reason=f"{first.failure.reason}, nor elsewhere on the patch")
+        )
+
+    def contacts_after(
+        self, contacts: tuple[Contact, ...], move: Move
+    ) -> tuple[tuple[Contact, ...], list[MoveFailure]]:
+        """The contacts after a move, and which of its two ends have no posture."""
+        failures = []
+        leaving = self.transition(contacts, move.limb)
+        if leaving.failure is not None:
+            failures.append(MoveFailure(0, "transition", leaving.failure, "leave"))
+        support = tuple(c for c in contacts if c.limb != move.limb)
+        arriving = self.arrival(support, move.limb, move.hold)
+        if arriving.failure is not None:
+            failures.append(MoveFailure(0, "transition", arriving.failure, "arrive"))
+        return arriving.contacts, failures
+
+    def survey(self, start: tuple[Contact, ...], moves: Sequence[Move]) -> list[MoveFailure]:
+        """Every end of every move that has no transition posture, before any motion is planned."""
+        failures = []
+        contacts = start
+        for i, move in enumerate(moves):
+            contacts, found = self.contacts_after(contacts, move)
+            failures += [replace(failure, index=i) for failure in found]
+        return failures
+
+    def manifold(self, contacts: Sequence[Contact]) -> Manifold | None:
+        """The manifold of some contacts, None if these cannot hold the robot."""
+        support = support_interval(self.body, contacts)
+        return None if support is None else Manifold(self.body, contacts, support, self.margins)
+
+    def standing(self, contacts: tuple[Contact, ...], region: BaseGeometry | None = None) -> Postures:
+        """Postures at rest on all contacts, with the pelvis's origin in a region of the wall plane if one is given."""
+        empty = Postures(contacts, np.zeros((0, 0)), np.zeros((0, 0), dtype=np.int64), np.zeros(0))
+        manifold = self.manifold(contacts)
+        if manifold is None:
+            return replace(empty, failure=Failure("proved", "no forces of all limbs balance gravity"))
+        sampler = posture_sampler(self.body, manifold)
+        if sampler.unreachable():
+            return replace(empty, failure=Failure("proved", "at no angle of the pelvis do all limbs reach their holds"))
+        for count in self.effort.rounds:
+            q, branches, slack, _ = sampler.draw(self.rng, count)
+            if region is not None and len(q):
+                inside = shapely.contains_xy(region, *q[:, self.body.robot.base_q[:2]].T)
+                q, branches, slack = q[inside], branches[inside], slack[inside]
+            if len(q):
+                best = np.argsort(-slack)[: self.effort.postures]
+                found = self._carried(Postures(contacts, q[best], branches[best], slack[best]), contacts)
+                if len(found):
+                    return found
+        where = "" if region is None else " with the pelvis in the region"
+        return replace(
+            empty, failure=Failure("budget", f"no posture{where} among {sum(self.effort.rounds)} pelvis poses")
+        )
+
+
+def ordered(contacts: Sequence[Contact] | set[Contact]) -> tuple[Contact, ...]:
+    """Contacts in limb order."""
+    return tuple(sorted(contacts, key=lambda contact: contact.limb))
