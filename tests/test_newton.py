@@ -368,7 +368,7 @@ def test_stance_graph_contains_the_short_climb() -> None:
 def test_short_climbs_have_no_motion(moves: tuple[tuple[int, int], ...]) -> None:
     outcome = planned(*moves)
     assert isinstance(outcome, DeadEnd)
-    assert outcome.index == len(moves) - 1 and outcome.stage == "motion"
+    assert outcome.failure.index == len(moves) - 1 and outcome.failure.stage == "motion"
 
 
 def test_the_climb_that_comes_back_has_all_its_motions() -> None:
