@@ -13,13 +13,14 @@ from typing import Any, Literal
 import numpy as np
 
 from climber.manifold import Body
-from climber.motion import MotionBudget, MotionPlanner, MoveFailure, PhaseMotion
+from climber.motion import DeadEnd, EmptyPiece, MotionBudget, MotionPlanner, PhaseMotion
 from climber.move_question import MoveQuestion, reached_or_none, resolve
 from climber.reachable import Reached, RelaxedClimb
 from climber.relaxed import Check, RelaxedChecks
 from climber.scenario import Scenario
 from climber.stance import Contact, Move, Stance
 from climber.transition import Failure
+from climber.transitions import Effort, TransitionFinder
 from climber.words import listed, spoken
 
 MoveAnswer = Literal["possible", "impossible", "no motion found"]
@@ -130,23 +131,16 @@ def _moves_to(reached: Reached | None, stance: Stance) -> int | None:
 
 
 def _planner(scenario: Scenario, index: int, climb: RelaxedClimb) -> MotionPlanner:
-    budget = scenario.budget
     off_limits = tuple(region.outline() for region in scenario.robots[index].avoid.regions)
     wall = replace(climb.wall, obstacles=climb.wall.obstacles + off_limits)
-    motion_budget = MotionBudget(
-        samples=budget.posture_samples,
-        postures=budget.postures,
-        attempts=budget.path_attempts,
-        iterations=budget.path_iterations,
-        rate=budget.sample_rate_hz,
-        slowest=budget.longest_phase_s,
-    )
-    return MotionPlanner(Body(climb.robot, wall), np.random.default_rng(scenario.seed), motion_budget)
+    rng = np.random.default_rng(scenario.seed)
+    finder = TransitionFinder(Body(climb.robot, wall), rng, Effort.of(scenario.budget))
+    return MotionPlanner(finder, MotionBudget.of(scenario.budget))
 
 
 def _standing(told: MoveExplanation, planner: MotionPlanner) -> MoveExplanation:
     """What posture there is for a stance that passes all relaxed checks."""
-    found = planner.standing(tuple(Contact(limb, hold) for limb, hold in enumerate(told.stance.holds)))
+    found = planner.transitions.standing(tuple(Contact(limb, hold) for limb, hold in enumerate(told.stance.holds)))
     if found.failure is not None:
         return _failed_search(told, found.failure, "stance")
     line = f"{_what(told)} is possible: a posture was found in which the robot stands still."
@@ -156,12 +150,14 @@ def _standing(told: MoveExplanation, planner: MotionPlanner) -> MoveExplanation:
 def _moving(told: MoveExplanation, move: Move, planner: MotionPlanner) -> MoveExplanation:
     """What postures and motion there are for a move that passes all relaxed checks."""
     contacts = tuple(Contact(limb, hold) for limb, hold in enumerate(move.start.holds))
-    _, failures = planner.contacts_after(contacts, move)
+    _, failures = planner.transitions.contacts_after(contacts, move)
     for failure in failures:  # letting go comes first
         return _failed_search(told, failure.failure, "letting go" if failure.end == "leave" else "taking hold")
-    outcome = planner.plan(planner.transition(contacts, move.limb), [move], None)
-    if isinstance(outcome, MoveFailure):
-        return _failed_search(told, outcome.failure, "torque" if outcome.stage == "torque" else "motion")
+    outcome = planner.plan(planner.transitions.transition(contacts, move.limb), [move], {1: [None]})
+    assert not isinstance(outcome, EmptyPiece)  # no piece was asked for
+    if not isinstance(outcome, list):
+        failed = outcome.failure if isinstance(outcome, DeadEnd) else outcome
+        return _failed_search(told, failed.failure, "torque" if failed.stage == "torque" else "motion")
     return _possible(told, outcome)
 
 
@@ -197,7 +193,7 @@ def _failed_search(told: MoveExplanation, failure: Failure, where: Where) -> Mov
     verdict = "is impossible" if proved else "was not found to be possible, which does not prove that it is not"
     lines = [
         f"{_what(told)} {verdict}: it passes every check of the stance graph, but {AT[where]}: {failure.reason}.",
-        *(["(Proved, for feet at the middles of their patches.)"] if proved else []),
+        *(["(Proved, for feet at any point of their patches.)"] if proved else []),
         _where_stands(told),
     ]
     answer: MoveAnswer = "impossible" if proved else "no motion found"

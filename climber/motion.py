@@ -26,6 +26,7 @@ from climber.pieces import Choice, in_component
 from climber.programs.posture import improve_posture
 from climber.programs.torque import phase_torques, static_feasible
 from climber.programs.trajectory import refine
+from climber.scenario import Budget
 from climber.stance import Contact, Move, Vector
 from climber.timing import PEAK, PacedPath, Samples, joined
 from climber.transition import Failure, Postures, between
@@ -52,6 +53,16 @@ class MotionBudget:
     pace: float = 0.6
     rate: float = 100.0
     slowest: float = 30.0
+
+    @classmethod
+    def of(cls, budget: Budget, multiple: int = 1) -> MotionBudget:
+        """What a scenario allows, with so many times the attempts and samples."""
+        return cls(
+            attempts=multiple * budget.path_attempts,
+            iterations=multiple * budget.path_iterations,
+            rate=budget.sample_rate_hz,
+            slowest=budget.longest_phase_s,
+        )
 
 
 @dataclass(frozen=True)

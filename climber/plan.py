@@ -124,23 +124,10 @@ class ClimbSearch:
         self.robot = Robot(Model.load(self.spec.model, scenario.folder), wall.gravity)
         check_against_robot(scenario, self.index, self.robot.limb_names, self.robot.joint_limits)
         self.body = Body(self.robot, wall)
-        self.finder = TransitionFinder(self.body, np.random.default_rng(self.seed), self._effort(1))
-        self.planner = MotionPlanner(self.finder, self._motion_budget(1))
+        self.finder = TransitionFinder(self.body, np.random.default_rng(self.seed), Effort.of(scenario.budget))
+        self.planner = MotionPlanner(self.finder, MotionBudget.of(scenario.budget))
         self.stance = Stance(tuple(self.spec.start[name] for name in self.robot.limb_names))
         self.start = start_postures(scenario, self.index, self.finder, self.stance)
-
-    def _effort(self, multiple: int) -> Effort:
-        budget = self.scenario.budget
-        return Effort(multiple * budget.posture_samples, multiple * budget.postures)
-
-    def _motion_budget(self, multiple: int) -> MotionBudget:
-        budget = self.scenario.budget
-        return MotionBudget(
-            attempts=multiple * budget.path_attempts,
-            iterations=multiple * budget.path_iterations,
-            rate=budget.sample_rate_hz,
-            slowest=budget.longest_phase_s,
-        )
 
     def timings(self) -> dict[str, float]:
         """Seconds spent in each stage, and in all."""
@@ -157,8 +144,8 @@ class ClimbSearch:
         self.report(f"stance graph: {self.graph.num_vertices} stances, {self.graph.num_edges} moves")
         reason = ""
         for effort in EFFORTS:
-            self.finder.try_harder(self._effort(effort))
-            self.planner.budget = self._motion_budget(effort)
+            self.finder.try_harder(Effort.of(self.scenario.budget, effort))
+            self.planner.budget = MotionBudget.of(self.scenario.budget, effort)
             answer = self._search()
             if isinstance(answer, RobotPlan):
                 return answer

@@ -13,6 +13,7 @@ from shapely.geometry.base import BaseGeometry
 
 from climber.manifold import Body, Manifold, Margins
 from climber.programs.torque import static_feasible
+from climber.scenario import Budget
 from climber.stance import Contact, Move
 from climber.transition import Failure, Postures, find_transition, posture_sampler, support_interval
 
@@ -30,6 +31,11 @@ class Effort:
 
     samples: int = 20_000
     postures: int = 24
+
+    @classmethod
+    def of(cls, budget: Budget, multiple: int = 1) -> Effort:
+        """What a scenario allows, so many times over."""
+        return cls(multiple * budget.posture_samples, multiple * budget.postures)
 
     @property
     def rounds(self) -> tuple[int, ...]:
