@@ -32,6 +32,7 @@ from climber.timing import PEAK, PacedPath, Samples, joined
 from climber.transition import Failure, Postures, between
 from climber.transitions import MoveFailure, TransitionFinder
 
+FEWEST = 80  # samples of a leg, so that a short one is as finely described as a long one
 Purpose = Literal["let go", "region", "swing"]
 Regions = Mapping[int, Sequence[BaseGeometry | None]]
 
@@ -334,7 +335,7 @@ class MotionPlanner:
                 )
             samples = joined(
                 [
-                    path.samples(d, int(np.ceil(d * self.budget.rate)) + 1)
+                    path.samples(d, max(FEWEST, int(np.ceil(d * self.budget.rate)) + 1))
                     for path, d in zip(paced, durations, strict=True)
                 ]
             )

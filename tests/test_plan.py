@@ -103,11 +103,21 @@ def test_a_goal_out_of_reach_of_every_stance_is_proved_impossible() -> None:
     assert raised.value.counts
 
 
-def test_two_newtons_on_every_foot_leave_no_climb_found_and_it_is_not_called_proved() -> None:
+def test_two_newtons_on_every_foot_are_proved_to_leave_no_climb() -> None:
     with pytest.raises(NoPlanFound) as raised:
         plan_climb(edited("basic", ("min_force: 0.5", "min_force: 2.0")))
+    assert raised.value.proved
+    assert all(cut.kind == "proved" for cut in raised.value.cuts)
+
+
+def test_searches_that_gave_up_are_not_called_a_proof() -> None:
+    # An obstacle between the start and the goal holds, which the planar robot cannot step over.
+    wall = "  obstacles:\n  - polygon: {vertices: [[0.45, -0.3], [0.55, -0.3], [0.55, 0.6], [0.45, 0.6]]}\nrobots:\n"
+    scenario = edited("basic", ("robots:\n", wall))
+    with pytest.raises(NoPlanFound) as raised:
+        plan_climb(scenario)
     assert not raised.value.proved
-    assert raised.value.cuts
+    assert any(cut.kind == "budget" for cut in raised.value.cuts)
 
 
 def test_a_start_that_cannot_be_held_is_an_error_in_the_scenario() -> None:
