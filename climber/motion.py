@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
+from climber.apart import why_apart
 from climber.choose import Candidates, Layer
 from climber.dynamics import evaluate
 from climber.manifold import Manifold
@@ -308,7 +309,8 @@ class MotionPlanner:
         manifold = phase.manifold
         legs = find_path(manifold, a, b, self.rng, Search(self.budget.iterations))
         if legs is None:
-            reason = f"no path among {self.budget.iterations} samples of RRT-Connect"
+            # A proof is about these two postures only; others may be joined.
+            reason = why_apart(manifold, a, b) or f"no path among {self.budget.iterations} samples of RRT-Connect"
             return MoveFailure(phase.move, "motion", Failure("budget", reason))
         paced = []
         for leg in legs:

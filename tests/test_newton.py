@@ -11,12 +11,14 @@ import pytest
 from climber.apart import Cells, why_apart
 from climber.atlas import atlas_path
 from climber.curve import rounded
+from climber.exceptions import NoPlanFound
 from climber.graph import build_stance_graph
 from climber.manifold import Body, Chart, Manifold, Margins
 from climber.motion import DeadEnd, EmptyPiece, MotionBudget, MotionPlanner, PhaseMotion
 from climber.newton import Closure, NewtonChart
 from climber.newton_sampler import NewtonSampler
 from climber.path import Search, find_path, unwound
+from climber.plan import plan_climb
 from climber.regrasp import rigid, with_regrasps
 from climber.robot import Model, Robot
 from climber.scenario import Scenario, load_scenario
@@ -25,6 +27,7 @@ from climber.start import start_postures
 from climber.timing import rates
 from climber.transition import PostureSampler
 from climber.transitions import MoveFailure, TransitionFinder
+from climber.verify import verify
 from climber.wall import Hold, Wall
 
 HOLDS = ((-0.15, -0.15), (0.15, -0.15), (0.15, 0.15), (-0.15, 0.15))
@@ -384,3 +387,23 @@ def test_the_climb_that_comes_back_has_all_its_motions() -> None:
 
 def test_margins_of_an_unbounded_support_are_none() -> None:
     assert Manifold(double_link(), [Contact(0, 1)], ANYWHERE, Margins(balance=0.1)).balanced == ANYWHERE
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_refining_finds_the_climb_and_it_verifies(seed: int) -> None:
+    plan = plan_climb(load_scenario("double_link"), seed=seed)
+    assert [stance["second_hand"] for stance in plan.robots[0].stances] == [0, 2, 2, 3]
+    swings = [phase for phase in plan.robots[0].phases if phase.kind == "swing"]
+    assert [phase.contacts[0].hold for phase in swings] == [1, 2, 1]
+    assert any("obstacles cut" in cut.reason for cut in plan.robots[0].cuts)
+    verdict = verify(plan)
+    assert verdict.ok, str(verdict)
+
+
+@pytest.mark.parametrize("on_failure", ["cut", "penalise"])
+def test_giving_up_whole_moves_does_not_find_it_and_claims_no_proof(on_failure: str) -> None:
+    asked = load_scenario("double_link")
+    asked.on_failure = on_failure
+    with pytest.raises(NoPlanFound) as raised:
+        plan_climb(asked)
+    assert not raised.value.proved and raised.value.cuts
