@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
 import pytest
 
 from climber.plan import plan_climb
+from climber.plan_file import Plan
 from climber.resources import packaged_scenarios
 from climber.scenario import load_scenario
 from climber.verify import verify
@@ -14,9 +19,40 @@ ELSEWHERE = {"random_1000": "a thousand holds; `make bench` runs it"}
 WAITING = {"waypoint": "waypoints"}
 
 
+@cache
+def planned(name: str) -> Plan:
+    return plan_climb(load_scenario(name))
+
+
 @pytest.mark.parametrize("name", [name for name in packaged_scenarios() if name not in ELSEWHERE])
 def test_it_solves_and_the_plan_verifies(name: str) -> None:
     if name in WAITING:
         pytest.skip(f"{WAITING[name]} are not planned for as yet")
-    verdict = verify(plan_climb(load_scenario(name)))
+    verdict = verify(planned(name))
     assert verdict.ok, str(verdict)
+
+
+def test_on_the_obstacle_wall_the_first_plan_has_postures_but_no_motion() -> None:
+    robot = planned("obstacle").robots[0]
+    failed = {(cut.limb, cut.hold) for cut in robot.cuts if cut.stage == "motion"}
+    assert failed
+    # Without the ledge, those are moves to make.
+    scenario = load_scenario("obstacle")
+    scenario.wall.obstacles.clear()
+    (free,) = plan_climb(scenario).robots
+    made = {(limb, b[limb]) for a, b in pairwise(free.stances) for limb in a if a[limb] != b[limb]}
+    assert failed & made
+    assert free.moves < robot.moves
+
+
+def test_who_need_not_keep_off_steps_on_the_hold_and_enters_the_region() -> None:
+    scenario = load_scenario("avoid")
+    avoid = scenario.robots[0].avoid
+    assert avoid.holds
+    assert avoid.regions
+    avoid.holds, avoid.regions = [], []
+    free = plan_climb(scenario)
+    assert free.robots[0].moves < planned("avoid").robots[0].moves
+    # The same motion, judged by what the scenario asks for.
+    verdict = verify(replace(free, scenario_text=load_scenario("avoid").source))
+    assert {check.name for check in verdict.checks if not check.ok} == {"avoided", "obstacle clearance"}
