@@ -119,7 +119,7 @@ def test_the_elbow_cannot_change_its_bend_once_the_hold_is_taken(body: Body) -> 
     sampler, rng = PostureSampler(body, Manifold(body, TAKEN, support)), np.random.default_rng(3)
     q = np.concatenate([sampler.draw(rng, 30_000)[0] for _ in range(6)])
     angles = q[:, body.robot.limbs[TOP].q[1]]
-    assert len(angles) > 1000
+    assert len(angles) > 100
     assert (angles < 0).any()
     assert (angles > 0).any()
     assert np.abs(angles).min() > 0.3
