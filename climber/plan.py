@@ -67,17 +67,21 @@ def plan_climb(
         NoPlanFound: If there is no climb (`proved`), or none was found within the budget.
     """
     seed = scenario.seed if seed is None else seed
+    limit = scenario.budget.time_limit_s if time_limit is None else time_limit
     if len(scenario.robots) > 1:
-        raise scenario.error("robots", f"{len(scenario.robots)} robots", "one robot; teams are not planned for as yet")
-    search = ClimbSearch(scenario, seed, scenario.budget.time_limit_s if time_limit is None else time_limit, report)
-    robot_plan = search.run()
+        from climber.team_plan import plan_team  # which is built on what is here
+
+        robots, timings = plan_team(scenario, seed, limit, report)
+    else:
+        search = ClimbSearch(scenario, seed, limit, report)
+        robots, timings = (search.run(),), search.timings()
     return Plan(
         scenario_path=scenario.file,
         scenario_text=scenario.source,
         seed=seed,
-        robots=(robot_plan,),
+        robots=robots,
         software=software(),
-        timings={name: round(seconds, 4) for name, seconds in search.timings().items()},
+        timings={name: round(seconds, 4) for name, seconds in timings.items()},
     )
 
 
