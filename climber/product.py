@@ -23,16 +23,25 @@ from climber.exceptions import ClimberError
 from climber.layers import FAR, Layers
 from climber.states import Booleans, Integers, RobotTask
 from climber.task import TaskPlanner, _Tally
-from climber.task_plan import Attempt
+from climber.task_plan import Attempt, Impossible, OutOfTime, TaskPlan
 from climber.task_program import Answer
 
 CHUNK = 50_000  # joint positions expanded at a time
 GATHER = 5_000_000  # joint steps kept before only the cheapest to each position are
+DOUBTS = (6, 24)  # steps beyond the least at which it is asked whether any number would do
 MOST = 40_000_000  # joint positions of one step beyond which this is the wrong method
 
 
 # Whether pairs of vertices of two robots, both of shape (k,), exclude each other, shape (k,).
 Crowded = Callable[[tuple[int, int], Integers, Integers], Booleans]
+
+
+class _Closed(Exception):
+    """No joint position that can be reached is the end; says how many there are."""
+
+    def __init__(self, positions: int, tally: _Tally) -> None:
+        super().__init__(f"{positions} positions, none of them the end")
+        self.positions, self.tally = positions, tally
 
 
 class _Nodes:
@@ -103,6 +112,13 @@ class ProductPlanner(TaskPlanner):
             self._shared[i, j] = on[0] @ on[1].T > 0
             self._known[i, j] = np.full(self._shared[i, j].shape, -1 if crowded else 0, np.int8)
 
+    def plan(self, time_limit: float | None = None) -> TaskPlan | Impossible | OutOfTime:
+        """As `TaskPlanner.plan`; what excludes each other counts in the proof that there is no plan."""
+        try:
+            return super().plan(time_limit)
+        except _Closed as closed:
+            return self._together_impossible(closed.positions, closed.tally)
+
     def exclude(self, robots: tuple[int, int], one: int, two: int) -> None:
         """Two robots, the lower number first, cannot be on these vertices at the same time."""
         self._known[robots][one, two] = 1
@@ -151,7 +167,32 @@ class ProductPlanner(TaskPlanner):
             conflicts=0,
         )
         tally.attempts.append(attempt)
+        if answer.moves is None and horizon - self.lower_bound() in DOUBTS:
+            self._close(team, sizes, keys, tally, deadline)
         return answer
+
+    def _close(
+        self, team: list[_Nodes], sizes: tuple[int, ...], starts: Integers, tally: _Tally, deadline: float | None
+    ) -> None:
+        """Goes through all joint positions that can be reached at all; raises `_Closed` if none is the end."""
+        seen, frontier = starts, starts
+        while len(frontier):
+            if deadline is not None and time.perf_counter() > deadline:
+                return
+            none = np.zeros(len(frontier), np.int64)
+            before = _Step(frontier, none, none, np.zeros((len(team), len(frontier)), np.int64))
+            frontier = np.setdiff1d(self._step(team, sizes, before, FAR - 1).keys, seen, assume_unique=True)
+            seen = np.union1d(seen, frontier)
+            if self._ends(team, sizes, frontier).any():
+                return
+        raise _Closed(len(seen), tally)
+
+    @staticmethod
+    def _ends(team: list[_Nodes], sizes: tuple[int, ...], keys: Integers) -> Booleans:
+        """Which joint positions have every robot at a goal, shape (n,)."""
+        sides = zip(np.unravel_index(keys, sizes), team, strict=True)
+        result: Booleans = np.logical_and.reduce([np.isin(nodes, robot.goals) for nodes, robot in sides])
+        return result
 
     def _step(self, team: list[_Nodes], sizes: tuple[int, ...], before: _Step, left: int) -> _Step:
         """All joint positions one step on, each reached at least cost."""
@@ -200,8 +241,7 @@ class ProductPlanner(TaskPlanner):
 
     def _read(self, team: list[_Nodes], sizes: tuple[int, ...], steps: list[_Step], answer: Answer) -> None:
         """Puts the cheapest walk to a goal into `answer`, if there is one."""
-        ends = np.unravel_index(steps[-1].keys, sizes)
-        good = np.logical_and.reduce([np.isin(end, robot.goals) for end, robot in zip(ends, team, strict=True)], axis=0)
+        good = self._ends(team, sizes, steps[-1].keys)
         if not good.any():
             return
         place = int(np.where(good, steps[-1].cost, FAR).argmin())
