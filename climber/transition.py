@@ -25,6 +25,7 @@ from climber.stance import Contact, Posture, Vector
 
 Kind = Literal["proved", "budget"]
 Branches = NDArray[np.int64]
+ROUNDING = 1e-9  # [m] nothing is called impossible for less than this
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ class PostureSampler:
         Disks of radius L around points whose smallest circle has radius R meet within sqrt(L^2 - R^2) of its centre.
         """
         angle, center, radius, length = self._cells
-        possible = radius <= length
+        possible = radius <= length + ROUNDING
         spread = np.sqrt(np.maximum(length**2 - radius**2, 0.0))
         return angle[possible], center[possible], spread[possible]
 
@@ -162,7 +163,7 @@ class PostureSampler:
             spare: The feet may each be so far from where the manifold has them [m].
         """
         _, _, radius, length = self._cells
-        return bool((radius > length + spare).all())
+        return bool((radius > length + spare + ROUNDING).all())
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Vector, Branches, Vector, int]:
         """Draws `count` pelvis poses and keeps the feasible postures among all their branches.
@@ -279,7 +280,7 @@ def find_transition(
         who = f"the limbs other than {name}" if holding is None else "all limbs"
         return Postures(ordered, *empty, Failure("proved", f"no forces of {who} balance gravity"))
     gap = max(holding[0], touching[0]) - min(holding[1], touching[1])
-    if gap > 0:
+    if gap > ROUNDING:
         reason = f"the support intervals with and without {name} lie {gap:.4f} m apart"
         # On patches the feet might stand elsewhere, where the intervals are a little different.
         return Postures(ordered, *empty, Failure("budget" if spare else "proved", reason))
