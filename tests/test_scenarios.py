@@ -16,7 +16,7 @@ from climber.verify import verify
 
 ELSEWHERE = {"random_1000": "a thousand holds; `make bench` runs it"}
 # What is not planned for as yet, by scenario.
-WAITING = {"double_link": "climbs that need a stance split into its components", "waypoint": "waypoints"}
+WAITING = {"waypoint": "waypoints"}
 
 
 @cache
