@@ -32,7 +32,9 @@ from climber.stance import Contact, Move, Vector
 from climber.timing import PEAK, PacedPath, Samples, joined
 from climber.transition import Failure, Postures, between
 from climber.transitions import MoveFailure, TransitionFinder
+from climber.verify_motion import drift
 
+TELLING = 0.9  # share of the error that `verify` allows between samples
 FEWEST = 80  # samples of a leg, so that a short one is as finely described as a long one
 Purpose = Literal["let go", "region", "swing"]
 Regions = Mapping[int, Sequence[BaseGeometry | None]]
@@ -335,12 +337,7 @@ class MotionPlanner:
                 return MoveFailure(
                     phase.move, "torque", Failure("budget", f"even slowed to {sum(durations):.0f} s: {why}")
                 )
-            samples = joined(
-                [
-                    path.samples(d, max(FEWEST, int(np.ceil(d * self.budget.rate)) + 1))
-                    for path, d in zip(paced, durations, strict=True)
-                ]
-            )
+            samples = self._sampled(paced, durations)
             dynamics = evaluate(self.body.robot, samples.q, samples.v, holding)
             torques = phase_torques(
                 self.body.robot, self.body.wall, list(phase.manifold.contacts), dynamics, samples.vd
@@ -351,6 +348,20 @@ class MotionPlanner:
                 return PhaseMotion(phase.limb, phase.move, contacts, samples, *forces)
             why = torques.reason
             slowing *= 1.4
+
+    def _sampled(self, paced: Sequence[PacedPath], durations: Sequence[float]) -> Samples:
+        """The legs one after the other, at the budget's rate or so much finer that the samples tell the motion.
+
+        The pace has more turns than a short phase has samples; between samples that miss them nobody could say how the
+        robot moves, nor `verify` that it does so.
+        """
+        for finer in (1, 2, 4, 8, 16):
+            counts = [finer * max(FEWEST, int(np.ceil(d * self.budget.rate))) + 1 for d in durations]
+            pieces = [path.samples(d, count) for path, d, count in zip(paced, durations, counts, strict=True)]
+            samples = joined(pieces)
+            if max(float(error.max(initial=0.0)) for error in drift(samples)) <= TELLING:
+                break
+        return samples
 
     def _chained(self, phases: list[PhaseMotion]) -> list[PhaseMotion]:
         """The phases one after the other in time, the pelvis's angle continuous, and shifts on one stance made one."""

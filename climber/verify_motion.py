@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -228,7 +229,20 @@ class MotionChecks:
         self._note("mechanics", number, motion.time[at], differences)
 
 
-def drift(samples: Motion) -> tuple[Vector, Vector]:
+class Sampled(Protocol):
+    """Instants of a motion: time [s] (K,), and positions, velocities and accelerations at it, (K, nv) each."""
+
+    @property
+    def time(self) -> Vector: ...  # noqa: D102
+    @property
+    def q(self) -> Vector: ...  # noqa: D102
+    @property
+    def v(self) -> Vector: ...  # noqa: D102
+    @property
+    def vd(self) -> Vector: ...  # noqa: D102
+
+
+def drift(samples: Sampled) -> tuple[Vector, Vector]:
     """How far sampled velocities and accelerations are from the derivatives of positions and velocities.
 
     Over a step h from sample 0 to 1 the trapezium rule leaves v1 - v0 - h/2 (a0 + a1) = -h^3/12 a''. The samples of a
