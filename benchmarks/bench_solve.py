@@ -11,6 +11,7 @@ those of RRT*, which RRT-Connect's were twice. The exit code is 1 if a climb is 
 from __future__ import annotations
 
 import argparse
+import json
 import resource
 import statistics
 import subprocess
@@ -94,6 +95,9 @@ def climber(*arguments: str) -> tuple[float, float, str]:
     seconds, busy = time.perf_counter() - began, processor_time() - busy_before
     if done.returncode == 0:
         return seconds, busy, ""
+    if arguments[0] == "verify" and done.stdout:
+        failed = (check for check in json.loads(done.stdout)["checks"] if not check["ok"])
+        return seconds, busy, "; ".join(f"{check['name']} {check['worst']:.3g}" for check in failed)
     return (
         seconds,
         busy,
