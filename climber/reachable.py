@@ -143,7 +143,7 @@ class RelaxedClimb:
             scenario.cost,
             Stance(tuple(spec.start[limb] for limb in limbs)),
             tuple(waypoints),
-            getattr(spec, "waypoint_order", "any") == "given",
+            spec.waypoint_order == "given",
             Target.of(spec.goal, "the goal", limbs),
             tuple(spec.avoid.holds),
         )
