@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from climber.stance import Move
+    from climber.stance import Move, Stance
 
 
 class ClimberError(Exception):
@@ -81,7 +81,9 @@ class NoPlanFound(ClimberError):
     Attributes:
         proved: True when it is proved that no plan exists on this model; False when a budget ran out first.
         cuts: The moves given up on, each with its reason, in the order they were cut.
-        removed: For each cut, all moves that were given up for the same reason.
+        removed: For each cut, the moves it took out of the graph; none if it was overcome, or told pieces of a stance
+            apart. Empty if not known.
+        reached: The stances that could still be reached when no climb was left; None if the search ended before.
         counts: Counts of each stage up to here.
     """
 
@@ -92,10 +94,12 @@ class NoPlanFound(ClimberError):
         proved: bool,
         cuts: Sequence[object] = (),
         removed: Sequence[Sequence[Move]] = (),
+        reached: Sequence[Stance] | None = None,
         counts: Mapping[str, int] | None = None,
     ) -> None:
         super().__init__(message)
         self.proved = proved
         self.cuts = tuple(cuts)
         self.removed = tuple(tuple(moves) for moves in removed)
+        self.reached = None if reached is None else tuple(reached)
         self.counts = dict(counts or {})

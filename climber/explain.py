@@ -70,17 +70,27 @@ def explain_climb(
         return told.climb_exists(less, reached.moves)
     cuts = tuple(cut for cut in failure.cuts if isinstance(cut, Cut))
     given_up = _given_up(graph, cuts, failure.removed, climb.robot.limb_names)
-    answers: tuple[tuple[Answer, set[str]], ...] = (
-        ("no climb", {"proved"}),
-        ("no motion found", {"proved", "budget"}),
-    )
-    for answer, kinds in answers:
-        held_back = {edge: why for edge, why in given_up.items() if why.kind in kinds} | barred
-        last = climb.reached(graph, _mask(graph, held_back))
-        if last.moves is None:
-            finder = FrontierFinder(climb, last, held_back)
-            return replace(told.no_climb(finder, answer, reached.moves), cuts=cuts)
-    return replace(told.climb_exists(less, reached.moves, failure), cuts=cuts)
+    proofs = {edge: why for edge, why in given_up.items() if why.kind == "proved"} | barred
+    answer: Answer = "no climb"
+    last = climb.reached(graph, _mask(graph, proofs))
+    if last.moves is not None:
+        last = _left(climb, graph, failure, given_up | barred)
+        answer = "no climb" if failure.proved else "no motion found"
+    if last.moves is not None:
+        return replace(told.climb_exists(less, reached.moves, failure), cuts=cuts)
+    # Why a move is barred from some pieces of a stance is told, too, where it stops one.
+    reasons = _given_up(graph, cuts, (), climb.robot.limb_names) | given_up | barred
+    return replace(told.no_climb(FrontierFinder(climb, last, reasons), answer, reached.moves), cuts=cuts)
+
+
+def _left(climb: RelaxedClimb, graph: StanceGraph, failure: NoPlanFound, barred: Mapping[int, GivenUp]) -> Reached:
+    """What is left to be reached after all that was given up, as the planner has it if it says."""
+    left = climb.reached(graph, _mask(graph, barred))
+    if failure.reached is None:
+        return left
+    distance = np.full(graph.num_vertices, UNREACHED)
+    distance[[graph.vertex(stance) for stance in failure.reached]] = 0
+    return Reached(graph, distance, None)
 
 
 def _mask(graph: StanceGraph, barred: Mapping[int, GivenUp]) -> Mask:
@@ -136,12 +146,15 @@ def ask(scenario: Scenario, robot: int, seconds: float) -> Explanation:
 def _given_up(
     graph: StanceGraph, cuts: Sequence[Cut], removed: Sequence[Sequence[Move]], limbs: Sequence[str]
 ) -> dict[int, GivenUp]:
-    """The edges that the planner gave up, each with the first reason; of those with several, a proof comes first."""
+    """The edges that the planner gave up, each with the first reason; of those with several, a proof comes first.
+
+    If it is not known what was removed, these are the moves that the cuts name.
+    """
     given_up: dict[int, GivenUp] = {}
     for number, cut in enumerate(cuts):
         why = GivenUp(cut.kind, cut.stage, cut.reason)
         named = Move(Stance(tuple(cut.stance[limb] for limb in limbs)), list(limbs).index(cut.limb), cut.hold)
-        for move in [named, *(removed[number] if number < len(removed) else ())]:
+        for move in removed[number] if removed else [named]:
             try:
                 edge = graph.edge(graph.vertex(move.start), graph.vertex(move.end))
             except KeyError:  # no edge of this graph to begin with

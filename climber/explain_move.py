@@ -153,7 +153,7 @@ def _moving(told: MoveExplanation, move: Move, planner: MotionPlanner) -> MoveEx
     _, failures = planner.transitions.contacts_after(contacts, move)
     for failure in failures:  # letting go comes first
         return _failed_search(told, failure.failure, "letting go" if failure.end == "leave" else "taking hold")
-    outcome = planner.plan(planner.transitions.transition(contacts, move.limb), [move], {1: [None]})
+    outcome = planner.plan(planner.transitions.transition(contacts, move.limb), [move], {})
     assert not isinstance(outcome, EmptyPiece)  # no piece was asked for
     if not isinstance(outcome, list):
         failed = outcome.failure if isinstance(outcome, DeadEnd) else outcome
@@ -193,7 +193,11 @@ def _failed_search(told: MoveExplanation, failure: Failure, where: Where) -> Mov
     verdict = "is impossible" if proved else "was not found to be possible, which does not prove that it is not"
     lines = [
         f"{_what(told)} {verdict}: it passes every check of the stance graph, but {AT[where]}: {failure.reason}.",
-        *(["(Proved, for feet at any point of their patches.)"] if proved else []),
+        *(
+            [f"(Proved, for feet at {'the middles' if where == 'stance' else 'any point'} of their patches.)"]
+            if proved
+            else []
+        ),
         _where_stands(told),
     ]
     answer: MoveAnswer = "impossible" if proved else "no motion found"

@@ -15,6 +15,7 @@ from climber.relaxed import Check, RelaxedChecks, reach_lacking
 from climber.stance import Move, Stance, Vector
 
 STANCES = 6  # of the frontier, from which moves onwards are looked at
+UNKNOWN = GivenUp("budget", "motion", "given up from every piece of the stance that can be reached")
 HOLDS = 6  # looked at for each limb of such a stance
 
 
@@ -186,7 +187,7 @@ class FrontierFinder:
             return Blocked(move, failure)
         graph = self.reached.graph
         edge = graph.edge(graph.vertex(move.start), graph.vertex(move.end))
-        return Blocked(move, None, self.barred[edge])
+        return Blocked(move, None, self.barred.get(edge, UNKNOWN))
 
     def _miss(self, blocked: Blocked) -> tuple[float, Move]:
         """How near a blocked move is to being possible: its shortfall as a share of the reach or the weight."""

@@ -97,6 +97,11 @@ class Layers:
             self.reached = self.from_start
         self.shortest = int(self.reached[components.goal_nodes()].min(initial=FAR))
 
+    def reached_vertices(self) -> Integers:
+        """The vertices that some walk from the start comes by, whatever it has visited, in increasing order."""
+        states = self.components.states_of_nodes()[self.reached < FAR]
+        return np.unique(states // self.states.stages)
+
     def grow(self, horizon: int) -> list[int]:
         """Adds the moves that can lie on a walk of `horizon` steps and are not there yet.
 

@@ -17,7 +17,8 @@ import numpy as np
 from climber.graph import StanceGraph
 from climber.motion import DeadEnd, EmptyPiece
 from climber.pieces import REST, Choice
-from climber.stance import Stance, Vector
+from climber.plan_file import Cut
+from climber.stance import Move, Stance, Vector
 from climber.states import Integers
 from climber.task import TaskPlanner, Walk
 from climber.transitions import MoveFailure
@@ -36,12 +37,16 @@ class Lessons:
         tasks: The task planner.
         on_failure: What to do about a motion that failed.
         robot: The robot's number in the task planner.
+        cuts: The failures so far, the latest last.
+        removed: By edge that was cut, the number of the failure it was cut for.
     """
 
     graph: StanceGraph
     tasks: TaskPlanner
     on_failure: OnFailure = "refine"
     robot: int = 0
+    cuts: Sequence[Cut] = ()
+    removed: dict[int, int] = field(default_factory=dict)
     _seeds: dict[int, list[tuple[Stance, Vector]]] = field(default_factory=lambda: defaultdict(list))
     _bars: dict[int, list[tuple[int, bool]]] = field(default_factory=lambda: defaultdict(list))
     _failures: dict[int, int] = field(default_factory=lambda: defaultdict(int))
@@ -119,6 +124,19 @@ class Lessons:
         else:
             self._bar_arrivals(walk.vertices[empty.index], component)
 
+    def moves_removed(self) -> list[list[Move]]:
+        """For each failure, the moves that were cut for it."""
+        moves: list[list[Move]] = [[] for _ in self.cuts]
+        for edge, number in self.removed.items():
+            start = Stance(tuple(self.graph.stances[self.graph.tail[edge]].tolist()))
+            moves[number].append(Move(start, int(self.graph.limb[edge]), int(self.graph.taken[edge])))
+        return moves
+
+    def reached(self) -> list[Stance]:
+        """The stances that can be reached by what the task planner, when last asked, had left."""
+        vertices = self.tasks.layers[self.robot].reached_vertices()
+        return [Stance(tuple(holds)) for holds in self.graph.stances[vertices].tolist()]
+
     def _carve(self, vertex: int, stance: Stance, seed: Vector) -> int | None:
         """Tells the piece around `seed` apart from the rest; its number, or None if there are too many already."""
         count = self.tasks.split(self.robot, vertex)
@@ -146,3 +164,5 @@ class Lessons:
 
     def _cut(self, edges: Integers) -> None:
         self.tasks.cut(edges, robot=self.robot)
+        for edge in edges.tolist():
+            self.removed.setdefault(edge, len(self.cuts) - 1)

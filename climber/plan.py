@@ -155,9 +155,9 @@ class ClimbSearch:
                 return answer
             reason = answer.reason
             if all(cut.kind == "proved" for cut in self.cuts):
-                raise self._none(reason, proved=True)
+                raise self._none(reason, proved=True, lessons=self.lessons)
             self.report(f"{reason}; where searches gave up, they are made again with more effort")
-        raise self._none(reason, proved=False)
+        raise self._none(reason, proved=False, lessons=self.lessons)
 
     def task(self) -> RobotTask:
         """What the task planner is asked for this robot."""
@@ -184,7 +184,7 @@ class ClimbSearch:
         """Searches with the effort set, having forgotten what was given up on but not what was proved."""
         began = clock.perf_counter()
         tasks = TaskPlanner([self.task()])
-        lessons = Lessons(self.graph, tasks, cast(OnFailure, self.scenario.on_failure))
+        self.lessons = lessons = Lessons(self.graph, tasks, cast(OnFailure, self.scenario.on_failure), cuts=self.cuts)
         ends = None if self.spec.waypoints else self.vertices(self.spec.goal)
         tasks.cut(impossible_moves(self.graph, self.robot, self.body.wall, ends))
         if self.spec.avoid.holds:
@@ -250,7 +250,8 @@ class ClimbSearch:
             raise self._none(f"the time limit of {self.time_limit:g} s came first", proved=False)
         return answer
 
-    def _none(self, reason: str, *, proved: bool) -> NoPlanFound:
+    def _none(self, reason: str, *, proved: bool, lessons: Lessons | None = None) -> NoPlanFound:
+        """The answer that there is no plan, with what was learned if the search came to its end."""
         budget = sum(cut.kind == "budget" for cut in self.cuts)
         verdict = (
             "no climb exists on the stance graph"
@@ -264,6 +265,8 @@ class ClimbSearch:
             f"{self.scenario.name}: {verdict}: {reason}; {cuts if self.cuts else 'no move was given up'}",
             proved=proved,
             cuts=self.cuts,
+            removed=[] if lessons is None else lessons.moves_removed(),
+            reached=None if lessons is None else lessons.reached(),
             counts=self.graph.counts,
         )
 

@@ -169,7 +169,8 @@ class RelaxedClimb:
         """The edges that are proved impossible though they pass the graph's checks, shape (E,); see `climber.prune`."""
         mask = np.zeros(graph.num_edges, dtype=bool)
         if graph.num_edges:
-            mask[impossible_moves(graph, self.robot, self.wall, self.goal.vertices(graph))] = True
+            ends = None if self.waypoints else self.goal.vertices(graph)
+            mask[impossible_moves(graph, self.robot, self.wall, ends)] = True
         return mask
 
     def reached(self, graph: StanceGraph | None = None, barred: Mask | None = None) -> Reached:
