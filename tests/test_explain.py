@@ -21,6 +21,7 @@ from climber.explanation import Explanation
 from climber.frontier import FrontierFinder
 from climber.graph import StanceGraph
 from climber.move_question import MoveQuestion
+from climber.plan import plan_climb
 from climber.plan_file import Cut
 from climber.prune import impossible_moves
 from climber.reachable import RelaxedClimb
@@ -320,6 +321,32 @@ def test_a_planner_that_stopped_early_leaves_a_climb_to_be_tried() -> None:
     scenario = load_scenario("basic")
     told = explain_climb(scenario, failure=NoPlanFound("the time limit of 1 s came first", proved=False))
     assert told.answer == "climb" and any("time limit" in sentence for sentence in told.sentences)
+
+
+def test_what_the_planner_itself_gave_up_is_told_of_as_not_found() -> None:
+    """A disk in the middle of the wall, and little effort: the planner ends without a plan, having proved nothing."""
+    blocked = BASIC.replace("robots:", "  obstacles:\n  - circle: {center: [0.5, 0.14], radius: 0.13}\nrobots:", 1)
+    effort = "budget: {posture_samples: 200, postures: 4, path_attempts: 1, path_iterations: 10}\n"
+    scenario = _scenario(f"{blocked}\n{effort}")
+    with pytest.raises(NoPlanFound) as caught:
+        plan_climb(scenario, time_limit=60.0)
+    failure = caught.value
+    assert not failure.proved and failure.reached is not None and len(failure.removed) == len(failure.cuts)
+    climb = RelaxedClimb.of(scenario)
+    graph = climb.graph()
+    assert not set(map(graph.vertex, failure.reached)) & set(climb.goal.vertices(graph).tolist())
+    gone = climb.impossible(graph)
+    for move in (move for moves in failure.removed for move in moves):
+        gone[graph.edge(graph.vertex(move.start), graph.vertex(move.end))] = True
+    left = climb.reached(graph, gone)  # pieces of stances told apart can only leave less
+    assert all(left.has(stance) for stance in failure.reached)
+
+    told = explain_climb(scenario, failure=failure)
+    assert told.answer == "no motion found" and told.frontier is not None
+    assert told.frontier.reached == len(failure.reached)
+    reasons = {cut.reason for cut in told.cuts}
+    given_up = [b.given_up for b in told.frontier.blocked if b.given_up is not None and b.given_up.kind == "budget"]
+    assert given_up and {why.reason for why in given_up} <= reasons
 
 
 # --- one move --------------------------------------------------------------------------------------------------------
