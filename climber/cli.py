@@ -30,9 +30,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         result: int = options.run(options)
         return result
     except NoPlanFound as answer:
+        told = answer.explain()
         if options.json:
-            print(json.dumps({"ok": False, "proved": answer.proved, "reason": str(answer), "counts": answer.counts}))
-        errors.print(f"[bold]no plan[/bold]: {answer}", markup=True)
+            facts = {"ok": False, "proved": answer.proved, "reason": str(answer), "counts": answer.counts}
+            print(json.dumps({**facts, "explanation": None if told is None else told.to_dict()}))
+        errors.print("no plan:", style="bold", end=" ")
+        errors.print(str(answer), markup=False)
+        for sentence in () if told is None else told.sentences:
+            errors.print(f"  {sentence}", markup=False)
         return NO
     except ClimberError as error:
         errors.print(f"error: {error}", style="red", markup=False)

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from climber.explanation import Explanation
+    from climber.scenario import Scenario
     from climber.stance import Move, Stance
 
 
@@ -85,6 +87,8 @@ class NoPlanFound(ClimberError):
             apart. Empty if not known.
         reached: The stances that could still be reached when no climb was left; None if the search ended before.
         counts: Counts of each stage up to here.
+        scenario: The scenario, if it is to be explained.
+        robot: Number of the robot there that has no plan.
     """
 
     def __init__(
@@ -96,6 +100,8 @@ class NoPlanFound(ClimberError):
         removed: Sequence[Sequence[Move]] = (),
         reached: Sequence[Stance] | None = None,
         counts: Mapping[str, int] | None = None,
+        scenario: Scenario | None = None,
+        robot: int = 0,
     ) -> None:
         super().__init__(message)
         self.proved = proved
@@ -103,3 +109,16 @@ class NoPlanFound(ClimberError):
         self.removed = tuple(tuple(moves) for moves in removed)
         self.reached = None if reached is None else tuple(reached)
         self.counts = dict(counts or {})
+        self.scenario, self.robot = scenario, robot
+
+    def explain(self, seconds: float = 0.0) -> Explanation | None:
+        """Why there is no plan, in sentences and as data; None if the scenario is not known.
+
+        Args:
+            seconds: For trying what change of the wall would make a climb [s].
+        """
+        from climber.explain import explain_climb  # which stands on everything else
+
+        if self.scenario is None:
+            return None
+        return explain_climb(self.scenario, self.robot, failure=self, seconds=seconds)

@@ -268,6 +268,8 @@ class ClimbSearch:
             removed=[] if lessons is None else lessons.moves_removed(),
             reached=None if lessons is None else lessons.reached(),
             counts=self.graph.counts,
+            scenario=self.scenario,
+            robot=self.index,
         )
 
     def _record(self, moves: list[Move], index: int, failure: Failure, stage: str, where: str | None) -> None:

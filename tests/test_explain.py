@@ -341,8 +341,8 @@ def test_what_the_planner_itself_gave_up_is_told_of_as_not_found() -> None:
     left = climb.reached(graph, gone)  # pieces of stances told apart can only leave less
     assert all(left.has(stance) for stance in failure.reached)
 
-    told = explain_climb(scenario, failure=failure)
-    assert told.answer == "no motion found" and told.frontier is not None
+    told = failure.explain()
+    assert told is not None and told.answer == "no motion found" and told.frontier is not None
     assert told.frontier.reached == len(failure.reached)
     reasons = {cut.reason for cut in told.cuts}
     given_up = [b.given_up for b in told.frontier.blocked if b.given_up is not None and b.given_up.kind == "budget"]
@@ -449,6 +449,15 @@ def test_explain_tells_in_sentences_and_as_json(tmp_path: Path, capsys: pytest.C
     facts = json.loads(capsys.readouterr().out)
     assert facts["answer"] == "no climb" and facts["missing"]["never_held"] == [6, 7, 8, 9]
     assert facts["frontier"]["blocked"][0]["why"]["fails_by"] > 0
+
+
+def test_solve_tells_why_it_found_no_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "gap.yaml").write_text(GAP)
+    assert main(["solve", str(tmp_path / "gap.yaml"), "--out", str(tmp_path / "out"), "--json"]) == 1
+    said = capsys.readouterr()
+    facts = json.loads(said.out)
+    assert facts["proved"] and facts["explanation"]["missing"]["never_held"] == [6, 7, 8, 9]
+    assert "cannot be reached" in said.err
 
 
 def test_explain_of_a_move_takes_stances_by_limb_in_any_order(capsys: pytest.CaptureFixture[str]) -> None:
