@@ -183,6 +183,31 @@ class Layers:
             self.ends |= {(goal, c): total if potentials else 0 for c, total in totals.items()}
         return rises
 
+    def regrets(self, horizon: int) -> tuple[int, list[Integers]]:
+        """How much dearer than the cheapest walk every walk is that makes a move.
+
+        After `reweigh` with potentials, something that the solver counts nothing for leads to every pair that can be
+        reached. So what is missing of a walk through a move is what that move counts, and the least that can follow.
+
+        Args:
+            horizon: Number of steps T, as last weighed.
+
+        Returns:
+            The cost of the cheapest walk of T steps, and for each layer a lower bound of the regret of each move,
+            shape (n,); `FAR` or more if no walk makes it.
+        """
+        after = np.full(self.states.num_states, FAR)
+        least = min(self.ends.values(), default=FAR)
+        for (goal, _), total in self.ends.items():
+            after[goal] = min(after[goal], total - least)
+        result: list[Integers] = []
+        for layer in reversed(self.layers[:horizon]):
+            regrets = np.where(self.usable[layer.arcs], layer.weights + after[self.states.head[layer.arcs]], FAR)
+            after = np.full(self.states.num_states, FAR)
+            np.minimum.at(after, self.states.tail[layer.arcs], regrets)
+            result.append(regrets)
+        return least, result[::-1]
+
     def _weigh(
         self,
         layer: Layer,

@@ -227,7 +227,8 @@ class TaskPlanner:
             program.conflict(self._conflicts.values())
         program.adjust(horizon, changes)
         grounded = time.perf_counter()
-        answer = program.solve(deadline)
+        team = len(self.layers) > 1 and self._potentials
+        answer = program.solve(deadline, [layers.regrets(horizon) for layers in self.layers] if team else None)
         solved = time.perf_counter()
         tally.layers_seconds += weighed - began
         attempt = Attempt(

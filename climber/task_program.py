@@ -18,6 +18,7 @@ from clingo import Function, Number, Symbol
 
 from climber.components import WHOLE, Bar, Join
 from climber.layers import Layers, Rises
+from climber.regrets import Regrets
 from climber.states import Integers
 from climber.task_facts import Facts, number_symbol
 
@@ -232,9 +233,15 @@ class TaskProgram:
             with self._control.backend() as backend:
                 backend.add_minimize(0, rises)
 
-    def solve(self, deadline: float | None) -> Answer:
-        """Searches until the best plan is proved, none is proved to exist, or the deadline."""
+    def solve(self, deadline: float | None, regrets: list[tuple[int, list[Integers]]] | None = None) -> Answer:
+        """Searches until the best plan is proved, none is proved to exist, or the deadline.
+
+        Args:
+            deadline: When to stop, by `time.perf_counter` [s].
+            regrets: For each robot, what `Layers.regrets` says; moves are then ruled out by the plans found.
+        """
         answer = Answer()
+        dear = Regrets(self.layers, regrets) if regrets else None
         if self._left(deadline) <= 0:
             return answer  # an easy search would be done before it can be stopped
 
@@ -249,6 +256,11 @@ class TaskProgram:
                         answer.components[robot, rest[1]] = rest[0]
             answer.cost = sum(model.cost)
             answer.models += 1
+            if dear is not None:
+                # No better plan makes a move whose regret alone is as much as all regrets of this one.
+                for robot, arc, t in dear.ruled_out(answer.cost):
+                    if literal := self._literal("move", robot, arc, t):
+                        model.context.add_clause([-literal])
 
         with self._control.solve(on_model=note, async_=True) as handle:
             left = self._left(deadline)
