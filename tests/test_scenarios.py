@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import pytest
 
+from climber.exceptions import NoPlanFound
 from climber.plan import plan_climb
 from climber.plan_file import Plan
 from climber.resources import packaged_scenarios
@@ -15,8 +16,6 @@ from climber.scenario import load_scenario
 from climber.verify import verify
 
 ELSEWHERE = {"random_1000": "a thousand holds; `make bench` runs it"}
-# What is not planned for as yet, by scenario.
-WAITING = {"waypoint": "waypoints"}
 
 
 @cache
@@ -26,8 +25,6 @@ def planned(name: str) -> Plan:
 
 @pytest.mark.parametrize("name", [name for name in packaged_scenarios() if name not in ELSEWHERE])
 def test_it_solves_and_the_plan_verifies(name: str) -> None:
-    if name in WAITING:
-        pytest.skip(f"{WAITING[name]} are not planned for as yet")
     verdict = verify(planned(name))
     assert verdict.ok, str(verdict)
 
@@ -56,3 +53,13 @@ def test_who_need_not_keep_off_steps_on_the_hold_and_enters_the_region() -> None
     # The same motion, judged by what the scenario asks for.
     verdict = verify(replace(free, scenario_text=load_scenario("avoid").source))
     assert {check.name for check in verdict.checks if not check.ok} == {"avoided", "obstacle clearance"}
+
+
+def test_the_double_link_comes_back_only_if_failures_refine_the_graph() -> None:
+    robot = planned("double_link").robots[0]
+    stances = [tuple(stance.values()) for stance in robot.stances]
+    assert len(stances) > len(set(stances))
+    scenario = load_scenario("double_link")
+    scenario.on_failure = "cut"
+    with pytest.raises(NoPlanFound):
+        plan_climb(scenario)
