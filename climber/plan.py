@@ -198,7 +198,7 @@ class ClimbSearch:
             moves = decode(self.graph, self.stance, walk.edges)
             failures = self.finder.survey(self.start.contacts, moves)
             for failure in failures:
-                self._record(moves, failure.index, failure.failure, failure.stage, failure.end)
+                self.record(moves, failure.index, failure.failure, failure.stage, failure.end)
                 lessons.no_posture(walk, failure)
             if failures:
                 continue
@@ -207,7 +207,7 @@ class ClimbSearch:
             outcome = self.planner.plan(self.start, moves, self.regions(walk), lessons.choices(walk, stances))
             if isinstance(outcome, list):
                 return self.robot_plan(proposal, walk, moves, outcome)
-            self._learn(lessons, walk, moves, outcome)
+            self.learn(lessons, walk, moves, outcome)
         raise self._none("the task planner was asked as often as the budget allows", proved=False)
 
     def regions(self, walk: Walk) -> Regions:
@@ -221,21 +221,21 @@ class ClimbSearch:
         stops.setdefault(len(walk.edges), []).append(None if goal is None else goal.inside())
         return stops
 
-    def _learn(
+    def learn(
         self, lessons: Lessons, walk: Walk, moves: list[Move], outcome: MoveFailure | DeadEnd | EmptyPiece
     ) -> None:
         """Records why a climb has no motion, and tells the task planner."""
         if isinstance(outcome, MoveFailure):
-            self._record(moves, outcome.index, outcome.failure, outcome.stage, outcome.end)
+            self.record(moves, outcome.index, outcome.failure, outcome.stage, outcome.end)
             lessons.no_posture(walk, outcome)
         elif isinstance(outcome, DeadEnd):
             failure = outcome.failure
-            self._record(moves, failure.index, failure.failure, failure.stage, outcome.purpose)
+            self.record(moves, failure.index, failure.failure, failure.stage, outcome.purpose)
             lessons.dead_end(walk, outcome)
         else:
             reason = Failure("budget", "no posture found in the piece of the stance's postures that was left")
             index = outcome.index - (outcome.missing == "swing")
-            self._record(moves, index, reason, "motion", outcome.missing)
+            self.record(moves, index, reason, "motion", outcome.missing)
             lessons.empty_piece(walk, outcome)
 
     def _propose(self, tasks: TaskPlanner) -> TaskPlan | Impossible:
@@ -272,7 +272,7 @@ class ClimbSearch:
             robot=self.index,
         )
 
-    def _record(self, moves: list[Move], index: int, failure: Failure, stage: str, where: str | None) -> None:
+    def record(self, moves: list[Move], index: int, failure: Failure, stage: str, where: str | None) -> None:
         """Notes a move that was given up, or the last one if the trouble is at the end."""
         if not moves:
             raise self._none(f"the pelvis cannot reach its goal: {failure.reason}", proved=False)

@@ -233,7 +233,7 @@ class TeamSearch:
         moves = decode(member.graph, member.stance, walk.edges)
         failures = member.finder.survey(member.start.contacts, moves)
         for failure in failures:
-            member._record(moves, failure.index, failure.failure, failure.stage, failure.end)
+            member.record(moves, failure.index, failure.failure, failure.stage, failure.end)
             for other in self._alike[index]:
                 if other == index or failure.end is not None:
                     self._lessons[other].no_posture(walk, failure)
@@ -249,7 +249,7 @@ class TeamSearch:
             regions, choices = member.regions(walk), lessons.choices(walk, stances)
             outcome = member.planner.plan(member.start, moves, regions, choices)
             if not isinstance(outcome, list):
-                member._learn(lessons, walk, moves, outcome)
+                member.learn(lessons, walk, moves, outcome)
                 return None
             self._motions[index][key] = outcome
         return self._motions[index][key]
