@@ -176,7 +176,7 @@ class ChangeFinder:
         wall = self.climb.wall
         # A pin that is strong enough can do whatever any friction can, and more.
         strong = STRONG * self.climb.robot.mass * 9.81
-        pins = tuple(replace(hold, grip="pin", max_force=strong) for hold in wall.holds)
+        pins = tuple(replace(hold, grip="pin", max_force=strong, max_moment=strong) for hold in wall.holds)
         if self._moves(replace(wall, holds=pins)) is None:
             return Changes(forces_matter=False)
         useful = tuple(number for number, hold in enumerate(wall.holds) if hold.grip != "pin")

@@ -120,8 +120,11 @@ class FrontierFinder:
         """The holds that a limb could leave for its hold in a stance as far as reach goes, or else the nearest one."""
         if not len(others):
             return []
+        radii = self.climb.robot.reach
         feet = np.column_stack([np.tile(stance.holds, (len(others), 1)), others])  # (num_others, n + 1)
-        reach = np.append(self.climb.robot.reach, self.climb.robot.reach[limb])
+        reach = np.append(radii, radii[limb])
+        if len(radii) == 2:  # it hangs from one meanwhile, and swings round
+            feet, reach = np.delete(feet, limb, axis=1), np.delete(reach, limb)
         near = others[disks_meet(self.positions[feet], reach)].tolist()
         if near:
             return list(near)
@@ -197,5 +200,6 @@ class FrontierFinder:
             return (0.0 if budget else 0.001), blocked.move
         if not check.unit:
             return 1.0, blocked.move
-        scale = float(np.mean(self.climb.robot.reach)) if check.unit == "m" else float(check.numbers["weight"])
+        reach = float(np.mean(self.climb.robot.reach))
+        scale = reach if check.unit == "m" else float(check.numbers["weight"]) or 1.0
         return check.amount / scale, blocked.move

@@ -19,11 +19,11 @@ from climber.geometry import TOUCH, Mask, common_points, disks_meet, disks_meet_
 from climber.graph import GraphRobot
 from climber.moves import OVERLAP
 from climber.polygon import crossing_sides, in_order, out_of_order_anywhere, swaps, worst_corner
-from climber.programs.equilibrium import ShortfallProgram, wall_forces, weight_in_plane
+from climber.programs.equilibrium import SupportProgram, weight_in_plane
 from climber.programs.support import contact_intervals
 from climber.stance import Contact, Move, Stance, Vector
 from climber.wall import Wall
-from climber.words import force, heading, length, listed, spoken
+from climber.words import certificate_told, length, listed, spoken
 
 CheckName = Literal["reach", "region", "order", "support", "balance", "avoid"]
 
@@ -39,7 +39,7 @@ class Check:
         subject: What was checked, as a phrase.
         ok: Whether it passes.
         amount: By how much it fails, in `unit`; 0 if it passes.
-        unit: "m" or "N"; empty where the check is yes or no.
+        unit: "m", "N" or "N m"; empty where the check is yes or no.
         sentence: In words, without a full stop.
         anywhere: It fails wherever on their patches the feet stand, not only at their middles.
         numbers: What the sentence was made of.
@@ -114,7 +114,6 @@ class RelaxedChecks:
         self.wall, self.limbs, self.avoid = wall, tuple(limbs), frozenset(avoid)
         self._reach = np.asarray(robot.reach, dtype=float)
         self._mass = robot.mass
-        self._forces = wall_forces(wall)
         self._positions = wall.positions[:, :2]
 
     # --- one check each ----------------------------------------------------------------------------------------------
@@ -123,11 +122,8 @@ class RelaxedChecks:
         """Whether the pelvis can be within reach of all feet, given as (limb, hold), at once."""
         limbs, holds = (list(column) for column in zip(*feet, strict=True))
         centers, radii = self._positions[holds], self._reach[limbs]
-        numbers: dict[str, Any] = {
-            "holds": holds,
-            "limbs": [self.limbs[i] for i in limbs],
-            "reach": radii.tolist(),
-        }
+        names = [self.limbs[i] for i in limbs]
+        numbers: dict[str, Any] = {"holds": holds, "limbs": names, "reach": radii.tolist()}
         if disks_meet(centers[None], radii)[0]:
             return Check("reach", subject, True, 0.0, "m", f"{subject} is within reach", numbers=numbers)
         lacking, point = reach_lacking(centers, radii)
@@ -195,28 +191,23 @@ class RelaxedChecks:
             numbers = {"holds": holds, "interval": [float(lower), float(upper)]}
             return Check("support", subject, True, 0.0, "N", sentence, numbers=numbers)
         weight = weight_in_plane(self.wall, self._mass)
-        forces = self._forces[np.array(holds)]
-        certificate = ShortfallProgram(forces, weight).solve()
         numbers = {"holds": holds, "weight": weight}
+        certificate = self._certificate(contacts)
         if certificate is None:  # empty by rounding only: the load is on the border of what the contacts can carry
             sentence = f"the forces on {subject} cannot balance gravity, though only just"
             return Check("support", subject, False, 0.0, "N", sentence, numbers=numbers)
         direction, shortfall = certificate
+        numbers |= {"direction": direction.tolist(), "shortfall": shortfall}
+        if direction[2] != 0.0:
+            way = "counter-clockwise" if direction[2] > 0.0 else "clockwise"
+            sentence = (
+                f"balanced forces on {subject} cannot cancel their moments: {shortfall:.3g} N m {way} are lacking"
+            )
+            return Check("support", subject, False, shortfall, "N m", sentence, numbers=numbers)
         asked = float(direction[1] * weight)
         most = asked - shortfall
-        where = f"({direction[0]:.3f}, {direction[1]:.3f})"
-        if asked >= 0.0:
-            what = (
-                f"along {where}, {heading(direction)}, carrying the weight takes {force(asked)} and they push at most "
-                f"{force(most)}"
-            )
-        else:
-            what = (
-                f"along ({-direction[0]:.3f}, {-direction[1]:.3f}), {heading(-direction)}, they push at least "
-                f"{force(-most)} and the weight takes up only {force(-asked)}"
-            )
-        sentence = f"the forces on {subject} cannot balance gravity: {what}, a difference of {force(shortfall)}"
-        numbers |= {"direction": direction.tolist(), "shortfall": shortfall, "asked": asked, "most": most}
+        numbers |= {"asked": asked, "most": most}
+        sentence = f"the forces on {subject} cannot balance gravity: {certificate_told(direction, asked, most)}"
         # Where on a patch a foot stands matters for torques only, and the certificate is about forces.
         return Check("support", subject, False, shortfall, "N", sentence, True, numbers)
 
@@ -279,7 +270,8 @@ class RelaxedChecks:
         yield self.allowed(move.hold)
         yield self.reach(end, landed)
         yield self.order(move.end, landed)
-        yield self.reach([*start, (move.limb, move.hold)], "the holds before and after the move together")
+        if len(self.limbs) > 2:  # a robot of two hangs from one meanwhile, and swings round
+            yield self.reach([*start, (move.limb, move.hold)], "the holds before and after the move together")
         holds = listed([f"hold {hold}" for _, hold in staying])
         yield self.support(staying, f"{holds} alone")
         yield self.support(end, landed)
@@ -290,6 +282,14 @@ class RelaxedChecks:
         return next((check for check in checks if not check.ok), None)
 
     # --- helpers -----------------------------------------------------------------------------------------------------
+
+    def _certificate(self, contacts: Sequence[Contact]) -> tuple[Vector, float] | None:
+        """The direction in which contacts fail and by how much; None if they fail by rounding only."""
+        try:
+            answer = SupportProgram.of_contacts(self.wall, contacts, self._mass).solve()
+        except RuntimeError:
+            return None
+        return None if answer.direction is None else (answer.direction, answer.shortfall)
 
     def _intervals(
         self, staying: Sequence[tuple[int, int]], moving: tuple[int, int], offsets: Sequence[float]

@@ -41,3 +41,20 @@ def heading(direction: Vector) -> str:
     """Which way a vector in the wall plane points, to the nearest of eight."""
     eighth = round(math.atan2(direction[1], direction[0]) / (math.pi / 4))
     return _HEADINGS[eighth % 8]
+
+
+def certificate_told(direction: Vector, asked: float, most: float) -> str:
+    """What contacts lack in a direction.
+
+    Args:
+        direction: Unit vector in W, shape (3,), in the plane.
+        asked: What carrying the weight takes along it [N].
+        most: What the contacts can push along it at most [N], less than asked.
+    """
+    if asked >= 0.0:
+        along = f"({direction[0]:.3f}, {direction[1]:.3f}), {heading(direction)}"
+        taken = f"carrying the weight takes {force(asked)} and they push at most {force(most)}"
+    else:  # the other way round it is easier to understand
+        along = f"({-direction[0]:.3f}, {-direction[1]:.3f}), {heading(-direction)}"
+        taken = f"they push at least {force(-most)} and the weight takes up only {force(-asked)}"
+    return f"along {along}, {taken}, a difference of {force(asked - most)}"
