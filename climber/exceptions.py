@@ -114,6 +114,8 @@ class NoPlanFound(ClimberError):
     def explain(self, seconds: float = 0.0) -> Explanation | None:
         """Why there is no plan, in sentences and as data; None if the scenario is not known.
 
+        Of a team it is the first robot that has no climb even alone, if there is one.
+
         Args:
             seconds: For trying what change of the wall would make a climb [s].
         """
@@ -121,4 +123,8 @@ class NoPlanFound(ClimberError):
 
         if self.scenario is None:
             return None
-        return explain_climb(self.scenario, self.robot, failure=self, seconds=seconds)
+        told = explain_climb(self.scenario, self.robot, failure=self, seconds=seconds)
+        for other in range(len(self.scenario.robots)):
+            if told.answer == "climb" and other != self.robot:
+                told = explain_climb(self.scenario, other, failure=self, seconds=seconds)
+        return told

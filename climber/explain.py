@@ -68,6 +68,8 @@ def explain_climb(
         return told.no_climb(FrontierFinder(climb, less, barred), "no climb", reached.moves, change=True)
     if failure is None:
         return told.climb_exists(less, reached.moves)
+    if len(scenario.robots) > 1:  # what a team gave up, one robot alone may do
+        return told.climb_exists(less, reached.moves, failure)
     cuts = tuple(cut for cut in failure.cuts if isinstance(cut, Cut))
     given_up = _given_up(graph, cuts, failure.removed, climb.robot.limb_names)
     proofs = {edge: why for edge, why in given_up.items() if why.kind == "proved"} | barred
@@ -204,7 +206,10 @@ class _Told:
         if failure is None:
             lines.append("The graph's checks are relaxed: whether its moves have motions, `climber solve` finds out.")
         else:
-            lines.append(f"The planner gave up before it had tried all there is: {telling.sentence(str(failure))}")
+            who = (
+                "The planner has no plan for the team" if self.alone else "The planner gave up before it had tried all"
+            )
+            lines.append(f"{who}: {telling.sentence(str(failure))}")
         return Explanation(
             "climb", self.name, self.limbs, moves, moves_possible=less.moves, sentences=(*lines, *self.alone)
         )

@@ -297,4 +297,5 @@ class TeamSearch:
             proved=False,
             cuts=cuts,
             counts=self.members[0].graph.counts,
+            scenario=self.scenario,
         )

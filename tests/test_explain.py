@@ -26,7 +26,7 @@ from climber.plan_file import Cut
 from climber.prune import impossible_moves
 from climber.reachable import RelaxedClimb
 from climber.robot import Robot
-from climber.scenario import Scenario, load_scenario, scenario_from_text
+from climber.scenario import CircleSpec, Place, RegionSpec, Scenario, load_scenario, scenario_from_text
 from climber.stance import Move, Stance
 
 BASIC = load_scenario("basic").source
@@ -347,6 +347,18 @@ def test_what_the_planner_itself_gave_up_is_told_of_as_not_found() -> None:
     reasons = {cut.reason for cut in told.cuts}
     given_up = [b.given_up for b in told.frontier.blocked if b.given_up is not None and b.given_up.kind == "budget"]
     assert given_up and {why.reason for why in given_up} <= reasons
+
+
+def test_of_a_team_the_robot_without_a_climb_of_its_own_is_told_of() -> None:
+    scenario = load_scenario("team")
+    failure = NoPlanFound("gave up", proved=False, scenario=scenario)
+    told = failure.explain()
+    assert told is not None and told.answer == "climb" and any("alone" in line for line in told.sentences)
+    out_of_reach = Place(pelvis=RegionSpec(circle=CircleSpec(center=[9.0, 9.0], radius=0.1)))
+    robots = [scenario.robots[0], replace(scenario.robots[1], goal=out_of_reach)]
+    failure = NoPlanFound("gave up", proved=False, scenario=replace(scenario, robots=robots))
+    told = failure.explain()
+    assert told is not None and told.proved and told.robot == robots[1].name
 
 
 # --- one move --------------------------------------------------------------------------------------------------------
