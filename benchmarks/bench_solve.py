@@ -129,24 +129,24 @@ def run(scenario: Path, seed: int, *options: str) -> Run:
 
 def report(name: str, runs: Sequence[Run]) -> None:
     """Prints the rows of a scenario."""
-    good = [run for run in runs if not run.complaint]
+    failed = [run for run in runs if run.complaint]
     thesis, target = THESIS.get(name), TARGET_SECONDS.get(name)
     what = f"climber solve scenarios/{name}.yaml, import to files written"
-    if not good:
-        Row(what, None, "s", target, note=runs[0].complaint).show()
+    if failed:
+        Row(what, None, "s", target, note=f"{len(failed)} of {len(runs)} failed: {failed[0].complaint}").show()
         return
-    middle = statistics.median(run.seconds for run in good)
-    busy = statistics.median(run.busy for run in good)
-    worst = max(run.seconds for run in good)
-    told = f"worst {worst:.1f} s, {busy:.1f} s of processor; {len(good)} of {len(runs)} seeds solved and verified"
+    middle = statistics.median(run.seconds for run in runs)
+    busy = statistics.median(run.busy for run in runs)
+    worst = max(run.seconds for run in runs)
+    told = f"worst {worst:.1f} s, {busy:.1f} s of processor; {len(runs)} seeds solved and verified"
     beside = f"; thesis {thesis.seconds:.0f} s for the motion alone" if thesis else ""
     Row(what, middle, "s", target, note=told + beside).show()
-    moves = sorted({run.moves for run in good})
-    told = f"{' or '.join(map(str, moves))} moves, {max(run.cuts for run in good)} cut on the way at most"
+    moves = sorted({run.moves for run in runs})
+    told = f"{' or '.join(map(str, moves))} moves, {max(run.cuts for run in runs)} cut on the way at most"
     if thesis:
         told += f"; thesis {thesis.optimal:.1f} at best, {thesis.length:.1f} in the mean, {thesis.makespan} moves"
-    Row(f"  length of the motion, {name}", statistics.median(run.length for run in good), "rad", note=told).show()
-    Row(f"  climber verify of it, {name}", statistics.median(run.verify_seconds for run in good), "s").show()
+    Row(f"  length of the motion, {name}", statistics.median(run.length for run in runs), "rad", note=told).show()
+    Row(f"  climber verify of it, {name}", statistics.median(run.verify_seconds for run in runs), "s").show()
 
 
 def main() -> None:
