@@ -23,12 +23,15 @@ MODELS = {
     "long_limbed": str(FOLDER / "long_limbed.urdf"),
 }
 every_model = pytest.mark.parametrize("model", MODELS)
+# Limbs of one joint, and of none: kinematics like any other, but no inverse kinematics.
+EVERYTHING = MODELS | {"double_link": "package://climber/double_link/double_link.urdf"}
+every_robot = pytest.mark.parametrize("model", EVERYTHING)
 
 
 @cache
 def robot(model: str) -> Robot:
-    """The robot of one of `MODELS`."""
-    return Robot(MODELS[model])
+    """The robot of one of `EVERYTHING`."""
+    return Robot(EVERYTHING[model])
 
 
 @cache
@@ -39,7 +42,7 @@ def body(model: str) -> Body:
 
 @cache
 def kinematics(model: str) -> Kinematics:
-    """The kinematics of one of `MODELS`."""
+    """The kinematics of one of `EVERYTHING`."""
     return body(model).kinematics
 
 

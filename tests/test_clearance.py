@@ -15,7 +15,7 @@ from hypothesis.extra import numpy as hnp
 from pydrake.geometry import Box, Capsule, Cylinder, SceneGraphInspector, Sphere
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
-from robots import FOLDER, clear_configurations, configurations, every_model, kinematics, robot
+from robots import clear_configurations, configurations, every_model, kinematics, robot
 from shapely.geometry.base import BaseGeometry
 
 from climber.clearance import Clearance, inside, segment_distance
@@ -366,7 +366,3 @@ def test_neighbouring_links_are_not_watched() -> None:
             for name in limb.joints[:-1]:
                 neighbours = plant.GetJointByName(name)
                 assert frozenset((neighbours.parent_body().name(), neighbours.child_body().name())) not in pairs
-
-
-def test_models_are_those_of_the_folder() -> None:
-    assert {path.stem for path in FOLDER.glob("*.urdf")} == {"three_limbed", "long_limbed"}

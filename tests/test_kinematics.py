@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.multibody.tree import JacobianWrtVariable
-from robots import FOLDER, configurations, every_model, kinematics, robot
+from robots import FOLDER, configurations, every_robot, kinematics, robot
 
 from climber.exceptions import ModelError
 from climber.kinematics import Kinematics
@@ -22,7 +22,7 @@ URDF = (FOLDER / "three_limbed.urdf").read_text()
 YAML = (FOLDER / "three_limbed.yaml").read_text().partition("# One turn")[0]
 
 
-@every_model
+@every_robot
 @settings(max_examples=25, deadline=None)
 @given(seed=seeds)
 def test_links_feet_and_centre_of_mass_are_where_drake_has_them(model: str, seed: int) -> None:
@@ -42,7 +42,7 @@ def test_links_feet_and_centre_of_mass_are_where_drake_has_them(model: str, seed
     assert ours.center_of_mass(q, poses) == pytest.approx(center, abs=0)
 
 
-@every_model
+@every_robot
 @settings(max_examples=15, deadline=None)
 @given(seed=seeds)
 def test_foot_jacobians_are_drakes(model: str, seed: int) -> None:
@@ -63,7 +63,7 @@ def test_foot_jacobians_are_drakes(model: str, seed: int) -> None:
             assert J[2] == pytest.approx(0.0, abs=1e-13)  # which is why the third row is left out
 
 
-@every_model
+@every_robot
 def test_foot_jacobians_match_finite_differences(model: str) -> None:
     ours = kinematics(model)
     q = configurations(model, np.random.default_rng(0), 5)
@@ -77,7 +77,7 @@ def test_foot_jacobians_match_finite_differences(model: str) -> None:
         assert J[..., column] == pytest.approx(difference, abs=1e-9)
 
 
-@every_model
+@every_robot
 def test_fewer_angles_than_joints_give_the_links_nearest_the_pelvis(model: str) -> None:
     ours = kinematics(model)
     q = configurations(model, np.random.default_rng(1), 6)
@@ -91,7 +91,7 @@ def test_fewer_angles_than_joints_give_the_links_nearest_the_pelvis(model: str) 
             assert all(np.array_equal(a.origin, b.origin) for a, b in zip(part, whole, strict=False))
 
 
-@every_model
+@every_robot
 def test_moments_and_masses_of_limbs_and_pelvis_make_up_the_centre_of_mass(model: str) -> None:
     ours = kinematics(model)
     q = configurations(model, np.random.default_rng(2), 4)
@@ -103,7 +103,7 @@ def test_moments_and_masses_of_limbs_and_pelvis_make_up_the_centre_of_mass(model
     assert ours.pelvis_mass + sum(c.masses.sum() for c in ours.chains) == pytest.approx(robot(model).mass)
 
 
-@every_model
+@every_robot
 def test_distance_to_joint_limits_is_that_of_the_nearest_joint_less_the_margin(model: str) -> None:
     machine, ours = robot(model), kinematics(model)
     q = np.random.default_rng(3).uniform(-3.5, 3.5, (50, machine.plant.num_positions()))
