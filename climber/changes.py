@@ -8,7 +8,7 @@ planner then really found.
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -24,8 +24,8 @@ from climber.scenario import Scenario
 from climber.scenario_fields import HoldSpec
 from climber.stance import Vector
 from climber.wall import Hold, Wall
-from climber.words import listed
 
+Planner = Callable[[Scenario, float], bool]  # whether a scenario has a plan, with so many seconds to find it
 FRICTION = 0.05  # by how much a coefficient is raised
 PLACES = 400  # for one hold more, tried at most
 STRONG = 1e4  # a pin of this many times the robot's weight pushes and pulls as one likes
@@ -84,8 +84,7 @@ class Changes:
         forces_matter: False if it is proved that no friction would make a climb: geometry alone rules it out.
         friction_tried: Walls with more friction that were tried, all or as many as there was time for.
         friction_all_tried: Whether that was every hold alone and all together.
-        hold: One hold more, of the fewest moves among those found.
-        places_good: Places for one hold more that make a climb.
+        holds: One hold more: all places found that make a climb, those of fewest moves first.
         places_tried: Places that were tried.
     """
 
@@ -93,9 +92,36 @@ class Changes:
     forces_matter: bool = True
     friction_tried: int = 0
     friction_all_tried: bool = True
-    hold: Change | None = None
-    places_good: int = 0
+    holds: tuple[Change, ...] = ()
     places_tried: int = 0
+
+    @property
+    def hold(self) -> Change | None:
+        """One hold more: one the planner found a climb with if there is one, else the first."""
+        return next((change for change in self.holds if change.planned), self.holds[0] if self.holds else None)
+
+    def asked(self, planner: Planner, scenario: Scenario, seconds: float) -> Changes:
+        """The changes with the planner asked: of each kind the best first, until it has a plan or time is over.
+
+        Args:
+            planner: The planner.
+            scenario: The scenario that has no climb.
+            seconds: For each kind [s].
+        """
+
+        def ask(changes: Sequence[Change]) -> tuple[Change, ...]:
+            until, told = clock.perf_counter() + seconds, list(changes)
+            for i, change in enumerate(changes):
+                left = until - clock.perf_counter()
+                if left <= 0.0:
+                    break
+                told[i] = replace(change, planned=planner(change.on_scenario(scenario), left))
+                if told[i].planned:
+                    break
+            return tuple(told)
+
+        friction = sorted(self.friction, key=lambda change: (len(change.holds), change.moves))
+        return replace(self, friction=ask(friction), holds=ask(self.holds))
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON has it."""
@@ -108,7 +134,7 @@ class Changes:
             },
             "hold": {
                 "change": None if self.hold is None else self.hold.to_dict(),
-                "places_good": self.places_good,
+                "places_good": len(self.holds),
                 "places_tried": self.places_tried,
             },
         }
@@ -153,8 +179,8 @@ class ChangeFinder:
         if not places:
             return friction
         self._until = began + self.seconds
-        best, good, tried = self._one_hold(frontier, target)
-        return replace(friction, hold=best, places_good=good, places_tried=tried)
+        good, tried = self._one_hold(frontier, target)
+        return replace(friction, holds=tuple(good), places_tried=tried)
 
     def _moves(self, wall: Wall) -> int | None:
         """Fewest moves on a changed wall; None if there is no climb, or what is proved impossible leaves none."""
@@ -198,10 +224,9 @@ class ChangeFinder:
 
     # --- one hold more -----------------------------------------------------------------------------------------------
 
-    def _one_hold(self, frontier: Frontier, target: Target) -> tuple[Change | None, int, int]:
+    def _one_hold(self, frontier: Frontier, target: Target) -> tuple[list[Change], int]:
         wall, number = self.climb.wall, len(self.climb.wall.holds)
-        best: Change | None = None
-        good = tried = 0
+        good, tried = [], 0
         for place in self._places(frontier, target):
             if self._late():
                 break
@@ -209,10 +234,8 @@ class ChangeFinder:
             hold = replace(self.new_hold, position=(float(place[0]), float(place[1]), 0.0))
             moves = self._moves(replace(wall, holds=(*wall.holds, hold)))
             if moves is not None:
-                good += 1
-                if best is None or moves < best.moves:
-                    best = Change("hold", moves, (number,), hold)
-        return best, good, tried
+                good.append(Change("hold", moves, (number,), hold))
+        return sorted(good, key=lambda change: change.moves), tried
 
     def _places(self, frontier: Frontier, target: Target) -> Iterator[Vector]:
         """Places spread evenly over the gap from the frontier to the target, on no other hold and in no obstacle."""
@@ -235,51 +258,3 @@ class ChangeFinder:
                 given += 1
                 if given == PLACES:
                     return
-
-
-def told(changes: Changes) -> list[str]:
-    """The changes in sentences."""
-    lines = []
-    all_holds = [change for change in changes.friction if len(change.holds) > 1]
-    single = [change for change in changes.friction if len(change.holds) == 1]
-    if not changes.forces_matter:
-        lines.append(
-            "No friction would make a climb: even if every hold could push and pull in every direction there is none."
-        )
-    if single:
-        holds = listed([f"hold {change.holds[0]}" for change in sorted(single, key=lambda change: change.holds)])
-        alone = " alone" if len(single) == 1 else " (any one of them)"
-        lines.append(
-            f"A friction coefficient {FRICTION} higher on {holds}{alone} would make a climb of "
-            f"{min(change.moves for change in single)} moves on the stance graph.{_planned(single)}"
-        )
-    elif all_holds:
-        lines.append(
-            f"A friction coefficient {FRICTION} higher on all holds together would make a climb of "
-            f"{all_holds[0].moves} moves on the stance graph{', none alone' if changes.friction_all_tried else ''}."
-            f"{_planned(all_holds)}"
-        )
-    elif changes.friction_tried:
-        every = "on one hold, or on all" if changes.friction_all_tried else "as far as there was time to try"
-        lines.append(f"A friction coefficient {FRICTION} higher, {every}, would not make a climb.")
-    if changes.hold is not None and (hold := changes.hold.added) is not None:
-        lines.append(
-            f"One hold more, at ({hold.position[0]:.3f}, {hold.position[1]:.3f}) m, facing straight up with friction "
-            f"{hold.friction:g}, would make a climb of {changes.hold.moves} moves on the stance graph "
-            f"({changes.places_good} of {changes.places_tried} places tried do).{_planned([changes.hold])}"
-        )
-    elif changes.places_tried:
-        lines.append(
-            f"No one hold more among {changes.places_tried} places tried would make a climb, which does not prove that "
-            "none would."
-        )
-    return lines
-
-
-def _planned(changes: list[Change]) -> str:
-    asked = [change for change in changes if change.planned is not None]
-    if not asked:
-        return ""
-    if any(change.planned for change in asked):
-        return " The planner finds the whole climb."
-    return " The planner, asked as well, found no motion for it in the time given."

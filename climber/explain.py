@@ -7,15 +7,14 @@ moves is looked at as well, and what it *proved* is kept apart from what it mere
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from climber import changes as changing
 from climber import telling
 from climber.blocked import Frontier, GivenUp
-from climber.changes import Change, ChangeFinder, Changes
+from climber.changes import ChangeFinder, Planner
 from climber.exceptions import NoPlanFound
 from climber.explanation import Answer, Explanation, Missing
 from climber.frontier import FrontierFinder
@@ -29,7 +28,6 @@ from climber.scenario import Scenario
 from climber.scenario_fields import HoldSpec
 from climber.stance import Move, Stance
 
-Planner = Callable[[Scenario, float], bool]  # whether a scenario has a plan, with so many seconds to find it
 SECONDS = 10.0  # [s] for trying changes, unless told
 
 
@@ -192,7 +190,7 @@ class _Told:
         if fault.name == "support" and self.seconds > 0:
             alone = Frontier(0, (), self.climb.start.holds[0], (self.climb.start,), (0.0,), ())
             changes = self._finder().find(alone, self.climb.goal, places=False)
-            lines += changing.told(changes)
+            lines += telling.changes_told(changes)
         return Explanation(
             "no climb", self.name, self.limbs, None, start=fault, changes=changes, sentences=tuple(lines)
         )
@@ -235,8 +233,10 @@ class _Told:
         changes = None
         if self.seconds > 0 and (moves is None or change):
             # If the trouble is with the very holds asked for, other holds do not matter.
-            changes = self._planned(self._finder().find(frontier, target, places=possible))
-            lines += changing.told(changes)
+            changes = self._finder().find(frontier, target, places=possible)
+            if self.planner is not None:
+                changes = changes.asked(self.planner, self.scenario, self.seconds)
+            lines += telling.changes_told(changes)
         return Explanation(
             answer,
             self.name,
@@ -264,18 +264,3 @@ class _Told:
     def _finder(self) -> ChangeFinder:
         new_hold = HoldSpec(position=[0.0, 0.0], normal=[0.0, 1.0]).build(self.scenario.wall.hold_defaults)
         return ChangeFinder(self.climb, new_hold, np.random.default_rng(self.scenario.seed), self.seconds)
-
-    def _planned(self, changes: Changes) -> Changes:
-        """The changes, the best of each kind put to the planner."""
-        if self.planner is None:
-            return changes
-        friction = list(changes.friction)
-        if friction:
-            best = min(range(len(friction)), key=lambda i: (len(friction[i].holds), friction[i].moves, i))
-            friction[best] = self._asked(friction[best])
-        hold = None if changes.hold is None else self._asked(changes.hold)
-        return replace(changes, friction=tuple(friction), hold=hold)
-
-    def _asked(self, change: Change) -> Change:
-        assert self.planner is not None
-        return replace(change, planned=self.planner(change.on_scenario(self.scenario), self.seconds))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from climber.blocked import Frontier, on_holds
+from climber.changes import FRICTION, Change, Changes
 from climber.explanation import Answer, Missing
 from climber.reachable import Target
 from climber.words import length, listed, spoken
@@ -109,3 +110,54 @@ def called(target: Target) -> str:
     if target.demanded:
         return f"{target.name} ({listed([f'hold {hold}' for hold in sorted(target.demanded)])})"
     return f"the region of {target.name}"
+
+
+def changes_told(changes: Changes) -> list[str]:
+    """The changes in sentences."""
+    lines = []
+    all_holds = [change for change in changes.friction if len(change.holds) > 1]
+    single = [change for change in changes.friction if len(change.holds) == 1]
+    if not changes.forces_matter:
+        lines.append(
+            "No friction would make a climb: even if every hold could push and pull in every direction there is none."
+        )
+    if single:
+        holds = listed([f"hold {change.holds[0]}" for change in sorted(single, key=lambda change: change.holds)])
+        alone = " alone" if len(single) == 1 else " (any one of them)"
+        lines.append(
+            f"A friction coefficient {FRICTION} higher on {holds}{alone} would make a climb of "
+            f"{min(change.moves for change in single)} moves on the stance graph.{_planned(single)}"
+        )
+    elif all_holds:
+        lines.append(
+            f"A friction coefficient {FRICTION} higher on all holds together would make a climb of "
+            f"{all_holds[0].moves} moves on the stance graph{', none alone' if changes.friction_all_tried else ''}."
+            f"{_planned(all_holds)}"
+        )
+    elif changes.friction_tried:
+        every = "on one hold, or on all" if changes.friction_all_tried else "as far as there was time to try"
+        lines.append(f"A friction coefficient {FRICTION} higher, {every}, would not make a climb.")
+    if changes.hold is not None and (hold := changes.hold.added) is not None:
+        lines.append(
+            f"One hold more, at ({hold.position[0]:.3f}, {hold.position[1]:.3f}) m, facing straight up with friction "
+            f"{hold.friction:g}, would make a climb of {changes.hold.moves} moves on the stance graph "
+            f"({len(changes.holds)} of {changes.places_tried} places tried do).{_planned(changes.holds)}"
+        )
+    elif changes.places_tried:
+        lines.append(
+            f"No one hold more among {changes.places_tried} places tried would make a climb, which does not prove that "
+            "none would."
+        )
+    return lines
+
+
+def _planned(changes: Sequence[Change]) -> str:
+    asked = [change for change in changes if change.planned is not None]
+    if not asked:
+        return ""
+    found = next((change for change in asked if change.planned), None)
+    if found is None:
+        return f" The planner, asked about {len(asked)} of these, found no plan in the time given."
+    if len(changes) > 1 and found.added is None and len(found.holds) == 1:
+        return f" The planner finds the whole climb with more on hold {found.holds[0]}."
+    return " The planner finds the whole climb."

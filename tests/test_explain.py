@@ -219,7 +219,18 @@ def test_one_hold_more_makes_the_climb_it_is_said_to(gap: tuple[Scenario, Explan
     assert _fewest_moves(changed) == told.changes.hold.moves
     assert changed.build_wall().holds == told.changes.hold.on(scenario.build_wall()).holds
     assert any("One hold more" in sentence for sentence in told.sentences)
-    assert told.changes.places_good <= told.changes.places_tried
+    assert 0 < len(told.changes.holds) <= told.changes.places_tried
+    assert told.changes.hold.moves == min(change.moves for change in told.changes.holds)
+    asked: list[int] = []
+
+    def planner(changed: Scenario, seconds: float) -> bool:  # has a plan the third time it is asked
+        asked.append(_fewest_moves(changed) or 0)
+        return len(asked) == 3
+
+    planned = told.changes.asked(planner, scenario, 60.0)
+    assert asked == [change.moves for change in told.changes.holds[:3]]
+    assert [change.planned for change in planned.holds[:3]] == [False, False, True]
+    assert planned.hold == planned.holds[2]
 
 
 def test_friction_cannot_help_across_a_gap(gap: tuple[Scenario, Explanation]) -> None:
