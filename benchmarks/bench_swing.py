@@ -32,8 +32,8 @@ from benchmarks.peers.thesis_ompl import PeerSwing, ThesisSwing
 from benchmarks.rows import Row
 from climber.choose import Candidates, Layer
 from climber.manifold import Body, Manifold
-from climber.motion import MotionBudget
 from climber.path import Leg, Search, find_path, line
+from climber.phase_motion import MotionBudget
 from climber.robot import Robot
 from climber.stance import Contact, Move, Stance
 from climber.transition import find_transition, support_interval

@@ -13,8 +13,9 @@ from typing import Any, Literal
 import numpy as np
 
 from climber.manifold import Body
-from climber.motion import DeadEnd, EmptyPiece, MotionBudget, MotionPlanner, PhaseMotion
+from climber.motion import DeadEnd, EmptyPiece, MotionPlanner
 from climber.move_question import MoveQuestion, reached_or_none, resolve
+from climber.phase_motion import MotionBudget, PhaseMotion
 from climber.reachable import Reached, RelaxedClimb
 from climber.relaxed import Check, RelaxedChecks
 from climber.scenario import Scenario

@@ -12,7 +12,6 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
 from typing import Literal
 
 import numpy as np
@@ -20,76 +19,20 @@ from shapely.geometry.base import BaseGeometry
 
 from climber.apart import why_apart
 from climber.choose import Candidates, Layer
-from climber.dynamics import evaluate
 from climber.manifold import Manifold
 from climber.path import Search, clear, find_path, unwound
+from climber.phase_motion import MotionBudget, PhaseMotion, chained, timed
 from climber.pieces import Choice, in_component
 from climber.programs.posture import improve_posture
-from climber.programs.torque import phase_torques, static_feasible
+from climber.programs.torque import static_feasible
 from climber.programs.trajectory import refine
-from climber.scenario import Budget
 from climber.stance import Contact, Move, Vector
-from climber.timing import PEAK, PacedPath, Samples, joined
+from climber.timing import PacedPath
 from climber.transition import Failure, Postures, between
 from climber.transitions import MoveFailure, TransitionFinder
-from climber.verify_motion import drift
 
-TELLING = 0.9  # share of the error that `verify` allows between samples
-FEWEST = 80  # samples of a leg, so that a short one is as finely described as a long one
 Purpose = Literal["let go", "region", "swing"]
 Regions = Mapping[int, Sequence[BaseGeometry | None]]
-
-
-@dataclass(frozen=True)
-class MotionBudget:
-    """What motion planning may spend on one climb.
-
-    Attributes:
-        attempts: Pairs of postures, each from other pieces, tried for one phase before it is given up.
-        iterations: Samples that RRT-Connect draws for one pair.
-        pace: Share of the joint rate limits that a motion uses when nothing else slows it.
-        rate: Samples per second [Hz].
-        slowest: A phase is not slowed beyond this duration [s].
-    """
-
-    attempts: int = 12
-    iterations: int = 100
-    pace: float = 0.6
-    rate: float = 100.0
-    slowest: float = 30.0
-
-    @classmethod
-    def of(cls, budget: Budget, multiple: int = 1) -> MotionBudget:
-        """What a scenario allows, with so many times the attempts and samples."""
-        return cls(
-            attempts=multiple * budget.path_attempts,
-            iterations=multiple * budget.path_iterations,
-            rate=budget.sample_rate_hz,
-            slowest=budget.longest_phase_s,
-        )
-
-
-@dataclass(frozen=True)
-class PhaseMotion:
-    """One phase of a climb in motion.
-
-    Attributes:
-        limb: The swinging limb, or None for a shift.
-        move: How many moves were complete when it began.
-        contacts: The contacts that hold.
-        samples: The motion.
-        force: Force of each holding contact on the robot in W [N], shape (K, len(contacts), 3).
-        torque: Joint torques in the order of `Robot.joint_names` [N m], shape (K, num_joints).
-        moment: Moment of each holding contact on the robot about z [N m], shape (K, len(contacts)).
-    """
-
-    limb: int | None
-    move: int
-    contacts: tuple[Contact, ...]
-    samples: Samples
-    force: Vector
-    torque: Vector
-    moment: Vector
 
 
 @dataclass(frozen=True)
@@ -194,7 +137,7 @@ class MotionPlanner:
                         break
                     done[key] = motion
             else:
-                return self._chained([done[(i, chosen[i], chosen[i + 1])] for i in range(len(phases))])
+                return chained([done[(i, chosen[i], chosen[i + 1])] for i in range(len(phases))], candidates.angle)
             if tried[i] >= self.budget.attempts:
                 candidates.bar_phase(i)
             again = candidates.best()
@@ -323,70 +266,10 @@ class MotionPlanner:
                 )
             paced.append(PacedPath(curve))
         began = clock.perf_counter()
-        result = self._timed(phase, paced)
+        motion = timed(self.body, manifold.contacts, paced, self.budget)
         self.seconds["torque"] += clock.perf_counter() - began
-        return result
-
-    def _timed(self, phase: _Phase, paced: list[PacedPath]) -> PhaseMotion | MoveFailure:
-        """The phase as fast as the pace allows, or slowed until forces and torques produce it."""
-        holding = [c.limb for c in phase.manifold.contacts]
-        slowing, why = 1.0, ""
-        while True:
-            durations = [max(0.1, slowing * PEAK * path.length / self.budget.pace) for path in paced]
-            if sum(durations) > self.budget.slowest and slowing > 1.0:
-                return MoveFailure(
-                    phase.move, "torque", Failure("budget", f"even slowed to {sum(durations):.0f} s: {why}")
-                )
-            samples = self._sampled(paced, durations)
-            dynamics = evaluate(self.body.robot, samples.q, samples.v, holding)
-            torques = phase_torques(
-                self.body.robot, self.body.wall, list(phase.manifold.contacts), dynamics, samples.vd
-            )
-            if torques.ok.all():
-                contacts = phase.manifold.contacts
-                forces = torques.force, torques.torque, torques.moment
-                return PhaseMotion(phase.limb, phase.move, contacts, samples, *forces)
-            why = torques.reason
-            slowing *= 1.4
-
-    def _sampled(self, paced: Sequence[PacedPath], durations: Sequence[float]) -> Samples:
-        """The legs one after the other, at the budget's rate or so much finer that the samples tell the motion.
-
-        The pace has more turns than a short phase has samples; between samples that miss them nobody could say how the
-        robot moves, nor `verify` that it does so.
-        """
-        for finer in (1, 2, 4, 8, 16):
-            counts = [finer * max(FEWEST, int(np.ceil(d * self.budget.rate))) + 1 for d in durations]
-            pieces = [path.samples(d, count) for path, d, count in zip(paced, durations, counts, strict=True)]
-            samples = joined(pieces)
-            if max(float(error.max(initial=0.0)) for error in drift(samples)) <= TELLING:
-                break
-        return samples
-
-    def _chained(self, phases: list[PhaseMotion]) -> list[PhaseMotion]:
-        """The phases one after the other in time, the pelvis's angle continuous, and shifts on one stance made one."""
-        angle = int(self.body.robot.base_q[-1])
-        result: list[PhaseMotion] = []
-        for phase in phases:
-            samples = phase.samples
-            if result:
-                before = result[-1].samples
-                q = samples.q.copy()
-                q[:, angle] += unwound(q[0], before.q[-1], angle)[angle] - q[0, angle]
-                samples = replace(samples, time=samples.time + before.time[-1], q=q)
-            result.append(replace(phase, samples=samples))
-        return [_merged(list(group)) for _, group in groupby(result, key=lambda phase: (phase.move, phase.limb))]
-
-
-def _merged(phases: list[PhaseMotion]) -> PhaseMotion:
-    """Phases on the same contacts, one after the other, as one; the robot rests where they meet."""
-    if len(phases) == 1:
-        return phases[0]
-
-    def stacked(parts: list[Vector]) -> Vector:
-        return np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
-
-    samples = [phase.samples for phase in phases]
-    merged = Samples(*(stacked([getattr(s, name) for s in samples]) for name in ("time", "q", "v", "vd")))
-    force, torque, moment = (stacked([getattr(p, name) for p in phases]) for name in ("force", "torque", "moment"))
-    return replace(phases[0], samples=merged, force=force, torque=torque, moment=moment)
+        if isinstance(motion, str):
+            return MoveFailure(phase.move, "torque", Failure("budget", motion))
+        samples, torques = motion
+        forces = torques.force, torques.torque, torques.moment
+        return PhaseMotion(phase.limb, phase.move, manifold.contacts, samples, *forces)

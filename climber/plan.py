@@ -26,7 +26,8 @@ from climber.exceptions import NoPlanFound
 from climber.graph import StanceGraph, build_stance_graph
 from climber.lessons import Lessons, OnFailure
 from climber.manifold import Body
-from climber.motion import DeadEnd, EmptyPiece, MotionBudget, MotionPlanner, PhaseMotion, Regions
+from climber.motion import DeadEnd, EmptyPiece, MotionPlanner, Regions
+from climber.phase_motion import MotionBudget, PhaseMotion
 from climber.plan_file import Cut, Phase, PhaseContact, Plan, RobotPlan
 from climber.prune import impossible_moves
 from climber.regrasp import rigid, with_regrasps

@@ -20,7 +20,7 @@ import numpy as np
 
 from climber.encounter import Encounter, Pair, Track
 from climber.manifold import Body
-from climber.motion import PhaseMotion
+from climber.phase_motion import PhaseMotion
 from climber.stance import Vector
 from climber.timing import Samples, joined
 

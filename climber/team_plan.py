@@ -24,7 +24,8 @@ from climber.clearance import segment_distance
 from climber.exceptions import NoPlanFound
 from climber.graph import build_stance_graph
 from climber.lessons import Lessons, OnFailure
-from climber.motion import MotionPlanner, PhaseMotion
+from climber.motion import MotionPlanner
+from climber.phase_motion import PhaseMotion
 from climber.plan import ClimbSearch, Report, decode
 from climber.plan_file import Fact, RobotPlan
 from climber.product import ProductPlanner

@@ -14,10 +14,11 @@ from climber.curve import rounded
 from climber.exceptions import NoPlanFound
 from climber.graph import build_stance_graph
 from climber.manifold import Body, Chart, Manifold, Margins
-from climber.motion import DeadEnd, EmptyPiece, MotionBudget, MotionPlanner, PhaseMotion
+from climber.motion import DeadEnd, EmptyPiece, MotionPlanner
 from climber.newton import Closure, NewtonChart
 from climber.newton_sampler import NewtonSampler
 from climber.path import Search, find_path, unwound
+from climber.phase_motion import MotionBudget, PhaseMotion
 from climber.plan import plan_climb
 from climber.regrasp import rigid, with_regrasps
 from climber.robot import Model, Robot

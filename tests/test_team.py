@@ -14,7 +14,7 @@ from plans import KNEES_OUT, QUADRUPED
 
 from climber.encounter import BETWEEN, Pair, Track
 from climber.manifold import Body
-from climber.motion import PhaseMotion
+from climber.phase_motion import PhaseMotion
 from climber.robot import Model, Robot
 from climber.stance import Contact, Vector
 from climber.team import Conflict, Team, TeamMotion, by_step
