@@ -30,7 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         result: int = options.run(options)
         return result
     except NoPlanFound as answer:
-        told = answer.explain()
+        from climber.explain import explain_failure
+
+        told = explain_failure(answer)
         if options.json:
             facts = {"ok": False, "proved": answer.proved, "reason": str(answer), "counts": answer.counts}
             print(json.dumps({**facts, "explanation": None if told is None else told.to_dict()}))

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from climber.explanation import Explanation
     from climber.scenario import Scenario
     from climber.stance import Move, Stance
 
@@ -110,21 +109,3 @@ class NoPlanFound(ClimberError):
         self.reached = None if reached is None else tuple(reached)
         self.counts = dict(counts or {})
         self.scenario, self.robot = scenario, robot
-
-    def explain(self, seconds: float = 0.0) -> Explanation | None:
-        """Why there is no plan, in sentences and as data; None if the scenario is not known.
-
-        Of a team it is the first robot that has no climb even alone, if there is one.
-
-        Args:
-            seconds: For trying what change of the wall would make a climb [s].
-        """
-        from climber.explain import explain_climb  # which stands on everything else
-
-        if self.scenario is None:
-            return None
-        told = explain_climb(self.scenario, self.robot, failure=self, seconds=seconds)
-        for other in range(len(self.scenario.robots)):
-            if told.answer == "climb" and other != self.robot:
-                told = explain_climb(self.scenario, other, failure=self, seconds=seconds)
-        return told

@@ -264,3 +264,22 @@ class _Told:
     def _finder(self) -> ChangeFinder:
         new_hold = HoldSpec(position=[0.0, 0.0], normal=[0.0, 1.0]).build(self.scenario.wall.hold_defaults)
         return ChangeFinder(self.climb, new_hold, np.random.default_rng(self.scenario.seed), self.seconds)
+
+
+def explain_failure(failure: NoPlanFound, seconds: float = 0.0) -> Explanation | None:
+    """Why there is no plan, in sentences and as data; None if the scenario is not known.
+
+    Of a team it is the first robot that has no climb even alone, if there is one.
+
+    Args:
+        failure: What `plan_climb` raised.
+        seconds: For trying what change of the wall would make a climb [s].
+    """
+    scenario = failure.scenario
+    if scenario is None:
+        return None
+    told = explain_climb(scenario, failure.robot, failure=failure, seconds=seconds)
+    for other in range(len(scenario.robots)):
+        if told.answer == "climb" and other != failure.robot:
+            told = explain_climb(scenario, other, failure=failure, seconds=seconds)
+    return told

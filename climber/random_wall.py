@@ -113,7 +113,8 @@ class Recipe:
         width, height = self.size
         if self.spacing == 0.0:
             return
-        most = 2.0 / math.sqrt(3.0) * width * height / self.spacing**2 + (width + height) / self.spacing + 1.0
+        across, up = width / self.spacing, height / self.spacing
+        most = 2.0 / math.sqrt(3.0) * across * up + across + up + 1.0
         if self.holds > most:
             raise ClimberError(
                 f"{self.holds} holds of density {self.density:g} per m^2 cannot be {self.spacing:g} m apart: at most "

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cvxpy
 import numpy as np
 
 from climber.stance import Vector
@@ -100,6 +99,8 @@ class _SupportProgram:
     """
 
     def __init__(self, contacts: int) -> None:
+        import cvxpy  # takes half a second, which planning need not wait for
+
         self.t = cvxpy.Variable(2 * contacts)
         self.x, self.n = cvxpy.Variable(), cvxpy.Variable()
         self.turning = cvxpy.Parameter()
@@ -137,6 +138,8 @@ def support_interval(wall: Wall, holds: Sequence[int], points: Vector, mass: flo
     if not holds:
         return Support(np.nan, np.nan, "no contacts")
     grips = [Grip.of(wall.holds[hold]) for hold in holds]
+    import cvxpy
+
     weight = -mass * float(wall.gravity[1])
     centroid = points[:, :2].mean(axis=0)
     arms = points[:, :2] - centroid

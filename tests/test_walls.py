@@ -16,12 +16,12 @@ from climber.cli import main
 from climber.exceptions import ClimberError
 from climber.graph import build_stance_graph
 from climber.manifold import Body
-from climber.motion import MotionPlanner
 from climber.random_scenario import find_climb, scenario_text
 from climber.random_wall import Recipe, Spread, hold_specs, make_wall, scatter
 from climber.robot import Robot
 from climber.scenario import load_scenario, scenario_from_text
 from climber.stance import Contact, Stance
+from climber.transitions import TransitionFinder
 from climber.wall_command import MODEL
 
 recipes = st.builds(
@@ -131,8 +131,8 @@ def test_a_climb_starts_where_the_robot_can_be_held_and_the_graph_leads_to_its_g
     wall, robot = scenario.build_wall(), Robot(MODEL)
     assert wall == make_wall(recipe)
     start = Stance(tuple(scenario.robots[0].start[name] for name in robot.limb_names))
-    planner = MotionPlanner(Body(robot, wall), np.random.default_rng(0))
-    assert planner.standing(tuple(Contact(limb, hold) for limb, hold in enumerate(start.holds))).failure is None
+    finder = TransitionFinder(Body(robot, wall), np.random.default_rng(0))
+    assert finder.standing(tuple(Contact(limb, hold) for limb, hold in enumerate(start.holds))).failure is None
     graph = build_stance_graph(wall, robot, start, scenario.cost)
     goal = scenario.robots[0].goal.pelvis
     assert goal is not None
