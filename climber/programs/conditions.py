@@ -88,14 +88,11 @@ class Conditions:
         # Without weight the centre of mass may be anywhere; differences of infinities are no numbers.
         self._balanced = tuple(np.clip(manifold.balanced, -ANYWHERE, ANYWHERE))
         self._targets = np.array([chart.points[i][:2] for i in self._tied]).reshape(-1, 2)
-        pairs = [
-            (a, b, k)
-            for k, (i, j) in enumerate(clearance.pairs)
-            for a in range(clearance.first[i], clearance.first[i + 1])
-            for b in range(clearance.first[j], clearance.first[j + 1])
-        ]
-        self._a, self._b, self._pair = np.array(pairs, dtype=np.int64).reshape(-1, 3).T
+        self._a, self._b = clearance.one, clearance.two
         self._link = np.repeat(np.arange(len(kinematics.links)), np.diff(clearance.first))
+        number = {pair: k for k, pair in enumerate(clearance.pairs)}
+        links = zip(self._link[self._a].tolist(), self._link[self._b].tolist(), strict=True)
+        self._pair: NDArray[np.int64] = np.array([number[pair] for pair in links], dtype=np.int64)
         self._obstacles = shapely.union_all(body.wall.obstacles) if body.wall.obstacles else None
         joints, limbs = body.robot.joint_names, [body.robot.limbs[i].name for i in self._tied]
         self.names: tuple[str, ...] = (
@@ -108,6 +105,7 @@ class Conditions:
             *(f"{kinematics.links[i]} clear of {kinematics.links[j]}" for i, j in clearance.pairs),
             *(f"{link} clear of obstacles" for link in kinematics.links),
         )
+        self._outside = len(self.names) - len(kinematics.links)  # where those about obstacles begin
         self._smooth = 2 * len(joints) + 2 + 2 * len(limbs)  # how many of them are not distances between shapes
 
     def _joints_balance_reach(self, q: Vector, poses: list[Pose]) -> Vector:
@@ -155,7 +153,7 @@ class Conditions:
         rows = np.arange(len(u))[:, None]
         np.minimum.at(result, (rows, self._smooth + self._pair), apart)
         if self._obstacles is not None:
-            np.minimum.at(result, (rows, len(self.names) - self._link[-1] - 1 + self._link), away)
+            np.minimum.at(result, (rows, self._outside + self._link), away)
         return result
 
     def linearised(self, u: Vector, near: float) -> Linearised:
@@ -204,7 +202,7 @@ class Conditions:
             normal = ends[:, 0] - ends[:, 1]
             normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
             places.append(place)
-            kinds.append(len(self.names) - self._link[-1] - 1 + self._link[a])
+            kinds.append(self._outside + self._link[a])
             values.append(away[place, a])
             slopes.append(np.einsum("mi,min->mn", normal, slope(material(place, a, part))))
         return Linearised(
