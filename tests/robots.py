@@ -62,7 +62,7 @@ def _clear_joints(model: str) -> Vector:
     """A hundred configurations that are clear, shape (100, nq)."""
     rng, machine, ours = np.random.default_rng(0), robot(model), kinematics(model)
     found = np.zeros((0, machine.plant.num_positions()))
-    while len(found) < 100:
+    for _ in range(400):
         q = configurations(model, rng, 2000)
         q = q[ours.within_limits(q) > 0.1]
         for limb, inverse, chain in zip(machine.limbs, body(model).inverse, ours.chains, strict=True):
@@ -73,7 +73,9 @@ def _clear_joints(model: str) -> Vector:
             near, far = inverse.extent
             q = q[(distance < far - 0.01) & (distance > near + 0.01)]
         found = np.concatenate([found, q[body(model).clearance(ours.poses(q)) > 0.005]])
-    return found[:100]
+        if len(found) >= 100:
+            return found[:100]
+    raise AssertionError(f"{model} is hardly ever clear of itself")
 
 
 def clear_configurations(model: str, rng: np.random.Generator, count: int) -> Vector:
@@ -111,7 +113,7 @@ def standing(model: str, seed: int, air: tuple[int, ...] = (), margins: Margins 
     """The robot in a random clear configuration with its feet on pins, but for the limbs in the air."""
     rng = np.random.default_rng(seed)
     machine = robot(model)
-    while True:
+    for _ in range(200):
         (q,) = clear_configurations(model, rng, 1)
         feet = kinematics(model).feet(q[None])[0]
         holds = tuple(Hold(tuple(foot), (0.0, 1.0, 0.0), 0.6, max_force=200.0, grip="pin") for foot in feet)
@@ -123,3 +125,4 @@ def standing(model: str, seed: int, air: tuple[int, ...] = (), margins: Margins 
         manifold = Manifold(here, contacts, support, margins)
         if manifold.slack(q[None])[0] > 0:
             return Standing(here, contacts, q, manifold)
+    raise AssertionError(f"{model} hardly ever stands")
