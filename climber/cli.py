@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from climber.exceptions import ClimberError, NoPlanFound
 
@@ -226,7 +226,8 @@ def _robot(options: argparse.Namespace) -> int:
     console = Console(highlight=False)
     base = "moves in the wall plane" if robot.planar else "floats freely"
     console.print(f"[bold]{robot.name}[/bold]: {robot.mass:.3g} kg, {len(names)} limbs, its pelvis {base}")
-    table = Table("limb", "joint", "position [rad]", "velocity [rad/s]", "effort [N m]", "reach [m]")
+    names_column = [Column(header, no_wrap=True) for header in ("limb", "joint")]
+    table = Table(*names_column, "position [rad]", "velocity [rad/s]", "effort [N m]", "reach [m]")
     for limb in robot.limbs:
         if not limb.joints:
             table.add_row(limb.name, "none", "", "", "", f"{limb.reach:.3g}")

@@ -17,6 +17,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
 from climber.exceptions import ModelError, ScenarioError
+from climber.floating import add_floating_joint
 from climber.resources import package_map, resolve_model
 from climber.yaml_tree import check_tree, read_tree, rule
 
@@ -125,7 +126,10 @@ class Model:
     def add_to(
         self, plant: MultibodyPlant, scene_graph: SceneGraph | None = None, name: str | None = None
     ) -> ModelInstanceIndex:
-        """Parses the model into a plant that is not yet finalised, under the instance name `name` if given."""
+        """Parses the model into a plant that is not yet finalised, under the instance name `name` if given.
+
+        A pelvis that hangs from no joint gets one in which it floats (`climber.floating`).
+        """
         parser = Parser(plant, scene_graph) if scene_graph is not None else Parser(plant)
         parser.package_map().AddMap(package_map())
         if name is not None:
@@ -136,4 +140,9 @@ class Model:
             raise ModelError(f"{self.path}: Drake cannot read this model: {error}") from error
         if name is not None:
             plant.RenameModelInstance(instance, name)
+        if plant.HasBodyNamed(self.pelvis, instance):
+            pelvis = plant.GetBodyByName(self.pelvis, instance)
+            joints = [plant.get_joint(index) for index in plant.GetJointIndices(instance)]
+            if all(joint.child_body().index() != pelvis.index() for joint in joints):
+                add_floating_joint(plant, pelvis)
         return instance

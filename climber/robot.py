@@ -3,6 +3,9 @@
 Everything is read from the model (URDF or SDF) and from a small YAML file of the same stem beside it, which names the
 pelvis, the limbs with their feet in counter-clockwise order, and the robot's symmetries. The plant's world frame is
 the wall frame W, so an inclined wall only changes the plant's gravity vector.
+
+The pelvis moves in W's x-y plane, by a planar joint in the model, or floats in space, for want of any joint (see
+`climber.floating`). What differs between the two is asked of `Robot`, so that nothing else needs to know.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from pydrake.multibody.tree import Joint, PlanarJoint, RevoluteJoint
 from pydrake.systems.framework import Context
 
 from climber.exceptions import ModelError
+from climber.floating import ANGLES, ORIGIN, angle_rates, angular_velocity_map, angular_velocity_map_rate, floats
 from climber.model import Model as Model  # robots and models go together
 from climber.stance import Vector
 from climber.symmetry import symmetry_group
@@ -84,6 +88,11 @@ class Robot:
         mass: Total mass [kg].
         gravity: Gravity in W [m/s^2], shape (3,).
         planar: Whether the pelvis moves in W's x-y plane only.
+        dimension: 2 for a planar robot, 3 for one in space.
+        base_q: Places of the pelvis's own positions in the plant's.
+        base_v: Places of its velocities.
+        origin_q: Places of the positions that are the pelvis's origin in W: x, y and, in space, z; shape (dimension,).
+        angle_q: Places of the positions that are the pelvis's angles, a whole turn of which changes nothing.
         symmetries: Limb permutations, the identity first: limb `i` takes the place of limb `permutation[i]`.
         position_names: Name of each position, in the plant's order.
         velocity_names: Name of each velocity, in the plant's order.
@@ -111,6 +120,12 @@ class Robot:
             self._check_planar(base)
         self.base_q = np.arange(base.position_start(), base.position_start() + base.num_positions())
         self.base_v = np.arange(base.velocity_start(), base.velocity_start() + base.num_velocities())
+        self.floating = floats(base)
+        self.dimension = 2 if self.planar else 3
+        angles, origin = (ANGLES, ORIGIN) if self.floating else ((2,), (0, 1))
+        self.angle_q, self.origin_q = (
+            self.base_q[[place for place in places if place < len(self.base_q)]] for places in (angles, origin)
+        )
         self.mass = float(self.plant.CalcTotalMass(self.plant.CreateDefaultContext()))
         self.position_names = tuple(self.plant.GetPositionNames(instance, False, False))
         self.velocity_names = tuple(self.plant.GetVelocityNames(instance, False, False))
@@ -241,6 +256,59 @@ class Robot:
             for limb in self.limbs
             for joint, low, high in zip(limb.joints, limb.lower, limb.upper, strict=True)
         }
+
+    def v_of(self, q: Vector, qdot: Vector) -> Vector:
+        """Velocities v for rates of the positions, shape (..., nq) to (..., nv); the same for a planar robot."""
+        if not self.floating:
+            return qdot.copy()
+        turned = qdot[..., self.base_v].copy()
+        E = angular_velocity_map(q[..., self.angle_q].reshape(-1, 3)).reshape(*q.shape[:-1], 3, 3)
+        turned[..., :3] = np.einsum("...ij,...j->...i", E, qdot[..., self.angle_q])
+        v = qdot.copy()
+        v[..., self.base_v] = turned
+        return v
+
+    def vd_of(self, q: Vector, qdot: Vector, qddot: Vector) -> Vector:
+        """Accelerations dv/dt = E qddot + dE/dt qdot, shape (..., nq) to (..., nv)."""
+        vd = self.v_of(q, qddot)
+        if self.floating:
+            angles, rates = (x[..., self.angle_q] for x in (q, qdot))
+            dE = angular_velocity_map_rate(angles.reshape(-1, 3), rates.reshape(-1, 3)).reshape(*q.shape[:-1], 3, 3)
+            vd[..., self.base_v[:3]] += np.einsum("...ij,...j->...i", dE, rates)
+        return vd
+
+    def qdot(self, q: Vector, v: Vector) -> Vector:
+        """Rates of the positions for velocities v, shape (..., nv) to (..., nq); the same for a planar robot."""
+        result = v.copy()
+        if self.floating:
+            w = v[..., self.base_v[:3]].reshape(-1, 3)
+            rates = angle_rates(q[..., self.angle_q].reshape(-1, 3), w)
+            result[..., self.angle_q] = rates.reshape(*v.shape[:-1], 3)
+        return result
+
+    def by_positions(self, q: Vector, J: Vector) -> Vector:
+        """Jacobians by the rates of the positions, J E(q), from those by velocities.
+
+        Args:
+            q: Configurations, shape (K, nq).
+            J: Jacobians, shape (K, ..., nv).
+
+        Returns:
+            Shape (K, ..., nq).
+        """
+        if not self.floating:
+            return J
+        result = J.copy()
+        E = angular_velocity_map(q[:, self.angle_q])
+        result[..., self.angle_q] = np.einsum("k...i,kij->k...j", J[..., self.base_v[:3]], E)
+        return result
+
+    def unwound(self, q: Vector, reference: Vector) -> Vector:
+        """`q` with each angle of the pelvis taken within half a turn of the reference's, shapes (..., nq)."""
+        result = np.array(np.broadcast_to(q, np.broadcast_shapes(q.shape, reference.shape)))
+        angle = self.angle_q
+        result[..., angle] -= 2 * np.pi * np.round((q[..., angle] - reference[..., angle]) / (2 * np.pi))
+        return result
 
     def context(self) -> Context:
         """A fresh context of the plant."""
