@@ -1,7 +1,8 @@
 """The base of a robot in space: roll, pitch and yaw between frames that are turned so as to be far from singular.
 
-Drake's `RpyFloatingJoint` between F, fixed in the world, and M, fixed in the pelvis, has positions (rx, ry, rz, x, y,
-z) with R_FM = Rz(rz) Ry(ry) Rx(rx), and velocities (w_FM, v_FM), both in F. It is singular where ry is a right angle. With
+Drake's `RpyFloatingJoint` between F, fixed in the world, and M, fixed in the pelvis, has positions
+(rx, ry, rz, x, y, z) with R_FM = Rz(rz) Ry(ry) Rx(rx), and velocities (w_FM, v_FM), both in F. It is singular where ry
+is a right angle. With
 
     x_F = z_W,  y_F = x_W,  z_F = y_W,   and M likewise in the pelvis's frame P,
 
