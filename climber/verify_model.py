@@ -14,17 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import (
-    Joint,
-    MultibodyForces,
-    PlanarJoint,
-    RevoluteJoint,
-    WeldJoint,
-)
+from pydrake.multibody.tree import Joint, MultibodyForces
 
 from climber.exceptions import ModelError
 from climber.robot import Robot
 from climber.stance import Vector
+from climber.verify_joints import Freedom, freedoms, pose, rates
 
 
 @dataclass(frozen=True)
@@ -35,7 +30,8 @@ class Poses:
         rotation: Orientations R_WB, shape (num_bodies, K, 3, 3).
         origin: Origins p_WBo [m], shape (num_bodies, K, 3).
         hinge: Origins of the joints' moving frames p_WMo [m], by the joint's child body, shape (num_bodies, K, 3).
-        axes: Directions in W along which the joint of each child body moves, one for each of its velocities.
+        axes: Directions in W along or about which the joint of each child body moves, one for each of its velocities,
+            shape (K, 3) or (3,) each.
     """
 
     rotation: Vector
@@ -45,21 +41,21 @@ class Poses:
 
 
 class Tree:
-    """Kinematics and dynamics of a tree of revolute and welded joints on a planar base, in numpy."""
+    """Kinematics and dynamics of a tree of revolute and welded joints on a planar or floating base, in numpy."""
 
     def __init__(self, robot: Robot) -> None:
         plant = robot.plant
         context = plant.CreateDefaultContext()
         self._gravity = robot.gravity
         self._joints = _in_order(plant)
+        self._freedoms: list[tuple[Freedom, ...]] = []
         for joint in self._joints:
-            supported = isinstance(joint, RevoluteJoint | WeldJoint) or (
-                isinstance(joint, PlanarJoint) and joint.parent_body().index() == plant.world_body().index()
-            )
-            if not supported:
+            known = freedoms(joint, joint.parent_body().index() == plant.world_body().index())
+            if known is None:
                 raise ModelError(
                     f"{robot.model.path}: verify cannot follow the {joint.type_name()} joint {joint.name()!r}"
                 )
+            self._freedoms.append(known)
         bodies = [plant.get_body(joint.child_body().index()) for joint in self._joints]
         self._num_bodies = plant.num_bodies()
         self._mass = np.zeros(self._num_bodies)
@@ -92,23 +88,15 @@ class Tree:
         origin = np.zeros((self._num_bodies, count, 3))
         hinge = np.zeros((self._num_bodies, count, 3))
         axes: dict[int, list[Vector]] = {}
-        for joint in self._joints:
+        for joint, free in zip(self._joints, self._freedoms, strict=True):
             parent, child = int(joint.parent_body().index()), int(joint.child_body().index())
             X_PF = joint.frame_on_parent().GetFixedPoseInBodyFrame()
             X_MB = joint.frame_on_child().GetFixedPoseInBodyFrame().inverse()
+            R_FM, p_FM = pose(joint, _own(joint, q))
             R_WF = rotation[parent] @ X_PF.rotation().matrix()
-            p_WM = origin[parent] + rotation[parent] @ X_PF.translation()
-            first = joint.position_start()
-            if isinstance(joint, PlanarJoint):
-                p_WM = p_WM + R_WF[:, :, 0] * q[:, first, None] + R_WF[:, :, 1] * q[:, first + 1, None]
-                R_WM = R_WF @ _turn(np.array([0.0, 0.0, 1.0]), q[:, first + 2])
-                axes[child] = [R_WF[:, :, 0], R_WF[:, :, 1], R_WF[:, :, 2]]
-            elif isinstance(joint, RevoluteJoint):
-                R_WM = R_WF @ _turn(joint.revolute_axis(), q[:, first])
-                axes[child] = [R_WF @ joint.revolute_axis()]
-            else:
-                R_WM = R_WF
-                axes[child] = []
+            R_WM = R_WF @ R_FM
+            p_WM = origin[parent] + rotation[parent] @ X_PF.translation() + _times(R_WF, p_FM)
+            axes[child] = [R_WF @ freedom.axis for freedom in free]
             rotation[child] = R_WM @ X_MB.rotation().matrix()
             origin[child] = p_WM + R_WM @ X_MB.translation()
             hinge[child] = p_WM
@@ -117,13 +105,25 @@ class Tree:
     def is_planar(self) -> bool:
         """Whether every joint moves in, or turns across, the wall plane, so that nothing ever changes its height."""
         poses = self.poses(np.zeros((1, self._damping.size)))
-        for joint in self._joints:
-            axes = poses.axes[int(joint.child_body().index())]
-            if any(abs(slide[0, 2]) > 1e-6 for slide in axes[:-1]) or any(
-                abs(axis[0, 2]) < 1 - 1e-9 for axis in axes[-1:]
-            ):
-                return False
+        for joint, free in zip(self._joints, self._freedoms, strict=True):
+            for freedom, axis in zip(free, poses.axes[int(joint.child_body().index())], strict=True):
+                if abs(axis[0, 2]) > 1e-6 if freedom.slides else abs(axis[0, 2]) < 1 - 1e-9:
+                    return False
         return True
+
+    def rates(self, q: Vector, v: Vector, vd: Vector) -> tuple[Vector, Vector]:
+        """First and second time derivatives of the positions, shape (K, nq) each.
+
+        Args:
+            q: Positions, shape (K, nq).
+            v: Velocities, shape (K, nv).
+            vd: Accelerations, shape (K, nv).
+        """
+        first, second = np.zeros(q.shape), np.zeros(q.shape)
+        for joint in self._joints:
+            at = slice(joint.position_start(), joint.position_start() + joint.num_positions())
+            first[:, at], second[:, at] = rates(joint, q[:, at], _own_rates(joint, v), _own_rates(joint, vd))
+        return first, second
 
     def feet(self, poses: Poses) -> Vector:
         """Where the feet are in W [m], shape (K, num_limbs, 3)."""
@@ -157,18 +157,18 @@ class Tree:
         shape = poses.origin.shape
         w, wd, a = np.zeros(shape), np.zeros(shape), np.zeros(shape)  # of the bodies' frames, at their origins
         push, turn = np.zeros(shape), np.zeros(shape)  # wrench on each body, about W's origin
-        for joint in self._joints:
+        for joint, free in zip(self._joints, self._freedoms, strict=True):
             parent, child = int(joint.parent_body().index()), int(joint.child_body().index())
-            first, axes = joint.velocity_start(), poses.axes[child]
             out = poses.hinge[child] - poses.origin[parent]
             a_hinge = a[parent] + _cross(wd[parent], out) + _cross(w[parent], _cross(w[parent], out))
             w[child], wd[child] = w[parent], wd[parent]
-            if isinstance(joint, PlanarJoint):  # on the world, so nothing carries it along
-                a_hinge = axes[0] * vd[:, first, None] + axes[1] * vd[:, first + 1, None]
-                axes, first = axes[2:], first + 2
-            for axis in axes:
-                w[child] = w[parent] + axis * v[:, first, None]
-                wd[child] = wd[parent] + axis * vd[:, first, None] + _cross(w[parent], axis * v[:, first, None])
+            for place, (freedom, axis) in enumerate(zip(free, poses.axes[child], strict=True), joint.velocity_start()):
+                if freedom.slides:  # on the world, so nothing carries it along
+                    a_hinge = a_hinge + axis * vd[:, place, None]
+                else:
+                    own = axis * v[:, place, None]
+                    w[child] += own
+                    wd[child] += axis * vd[:, place, None] + _cross(w[parent], own)
             back = poses.origin[child] - poses.hinge[child]
             a[child] = a_hinge + _cross(wd[child], back) + _cross(w[child], _cross(w[child], back))
             arm = poses.rotation[child] @ self._center[child]
@@ -185,17 +185,12 @@ class Tree:
             if moment is not None:
                 turn[body, :, 2] -= moment[:, i]
         result = self._damping * v + self._armature * vd
-        for joint in reversed(self._joints):
+        for joint, free in zip(reversed(self._joints), reversed(self._freedoms), strict=True):
             parent, child = int(joint.parent_body().index()), int(joint.child_body().index())
-            first, axes = joint.velocity_start(), poses.axes[child]
-            if isinstance(joint, PlanarJoint):
-                for slide in axes[:2]:
-                    result[:, first] += np.einsum("ki,ki->k", slide, push[child])
-                    first += 1
-                axes = axes[2:]
-            for axis in axes:
-                about_hinge = turn[child] - _cross(poses.hinge[child], push[child])
-                result[:, first] += np.einsum("ki,ki->k", axis, about_hinge)
+            about_hinge = turn[child] - _cross(poses.hinge[child], push[child])
+            for place, (freedom, axis) in enumerate(zip(free, poses.axes[child], strict=True), joint.velocity_start()):
+                felt = push[child] if freedom.slides else about_hinge
+                result[:, place] += np.einsum("ki,ki->k", axis, felt)
             push[parent] += push[child]
             turn[parent] += turn[child]
         return result
@@ -212,8 +207,8 @@ class DrakeModel:
 
     def at(
         self, q: Vector, v: Vector, vd: Vector, force: Vector, moment: Vector | None = None
-    ) -> tuple[Vector, Vector, Vector]:
-        """Feet (num_limbs, 3) and centre of mass (3,) in W [m], and the required generalised force (nv,) [N, N m].
+    ) -> tuple[Vector, Vector, Vector, Vector]:
+        """What `Tree` computes, for one instant.
 
         Args:
             q: Positions, shape (nq,).
@@ -221,6 +216,10 @@ class DrakeModel:
             vd: Accelerations, shape (nv,).
             force: Force of each hold on each foot in W [N], shape (num_limbs, 3).
             moment: Moment of each hold on each foot about W's z axis [N m], shape (num_limbs,); none by default.
+
+        Returns:
+            Feet (num_limbs, 3) and centre of mass (3,) in W [m], the required generalised force (nv,) [N, N m], and
+            the rates of the positions (nq,).
         """
         plant, context = self._robot.plant, self._context
         plant.SetPositions(context, q)
@@ -234,7 +233,7 @@ class DrakeModel:
             p_BoFoot_W = foot - body.EvalPoseInWorld(context).translation()
             body.AddInForce(context, p_BoFoot_W, SpatialForce(n, f), plant.world_frame(), self._forces)
         required = plant.CalcInverseDynamics(context, vd, self._forces)
-        return feet, self._robot.center_of_mass(context), required
+        return feet, self._robot.center_of_mass(context), required, plant.MapVelocityToQDot(context, v)
 
 
 def _in_order(plant: MultibodyPlant) -> Sequence[Joint]:
@@ -250,12 +249,14 @@ def _in_order(plant: MultibodyPlant) -> Sequence[Joint]:
     return ordered
 
 
-def _turn(axis: Vector, angle: Vector) -> Vector:
-    """Rotations about the unit vector `axis` (3,) by each `angle` [rad], shape (K,), by Rodrigues; shape (K, 3, 3)."""
-    x, y, z = axis
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sin, cos = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + sin * across + (1.0 - cos) * (across @ across))
+def _own(joint: Joint, q: Vector) -> Vector:
+    """A joint's own columns of positions (K, nq)."""
+    return q[:, joint.position_start() : joint.position_start() + joint.num_positions()]
+
+
+def _own_rates(joint: Joint, v: Vector) -> Vector:
+    """A joint's own columns of velocities or accelerations (K, nv)."""
+    return v[:, joint.velocity_start() : joint.velocity_start() + joint.num_velocities()]
 
 
 def _cross(a: Vector, b: Vector) -> Vector:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from climber.plan_file import Phase, RobotPlan
@@ -115,13 +116,14 @@ class MotionChecks:
             poses = self._tree.poses(motion.q)
             feet, center = self._tree.feet(poses), self._tree.center_of_mass(poses)
             required = self._tree.required_force(poses, motion.v, motion.vd, motion.force, motion.moment)
+            rates, _ = self._tree.rates(motion.q, motion.v, motion.vd)
             self._contacts(number, phase, motion, feet)
             self._limits(number, motion)
             self._touching(number, motion, poses)
             self._equilibrium(number, phase, motion, center)
             self._forces(number, phase, motion)
             self._dynamics(number, motion, required)
-            self._mechanics(number, motion, feet, center, required)
+            self._mechanics(number, motion, feet, center, required, rates)
 
     def _note(self, name: str, number: int, time: Vector, values: Vector, what: list[str] | None = None) -> None:
         """Takes down values, shape (K,) or (K, len(what)) where `what` names the columns."""
@@ -138,10 +140,9 @@ class MotionChecks:
     def _sampling(self, number: int, phase: Phase, samples: Motion) -> None:
         """The samples are dense, and each series is the derivative of the one before."""
         self._note("sampling", number, samples.time[:-1], np.diff(samples.time))
-        velocity, acceleration = drift(samples)
-        names = list(self._robot.velocity_names)
-        self._note("velocity", number, samples.time[:-1], velocity, names)
-        self._note("acceleration", number, samples.time[:-1], acceleration, names)
+        velocity, acceleration = drift(samples, self._tree.rates(samples.q, samples.v, samples.vd))
+        self._note("velocity", number, samples.time[:-1], velocity, list(self._robot.position_names))
+        self._note("acceleration", number, samples.time[:-1], acceleration, list(self._robot.velocity_names))
 
     def _contacts(self, number: int, phase: Phase, motion: Motion, feet: Vector) -> None:
         """Each holding foot is at its contact point."""
@@ -218,14 +219,13 @@ class MotionChecks:
         for name, these in (("dynamics at samples", motion.sampled), ("dynamics between", ~motion.sampled)):
             self._note(name, number, motion.time[these], np.abs(residual[these]), names)
 
-    def _mechanics(self, number: int, motion: Motion, feet: Vector, center: Vector, required: Vector) -> None:
+    def _mechanics(self, number: int, motion: Motion, *computed: Vector) -> None:
         """What `Tree` computed is what Drake's plant computes, at the samples."""
         at = np.flatnonzero(motion.sampled)
         differences = np.zeros(len(at))
         for row, k in enumerate(at):
             drake = self._drake.at(motion.q[k], motion.v[k], motion.vd[k], motion.force[k], motion.moment[k])
-            ours = feet[k], center[k], required[k]
-            differences[row] = max(float(np.abs(a - b).max()) for a, b in zip(ours, drake, strict=True))
+            differences[row] = max(float(np.abs(a[k] - b).max()) for a, b in zip(computed, drake, strict=True))
         self._note("mechanics", number, motion.time[at], differences)
 
 
@@ -242,36 +242,47 @@ class Sampled(Protocol):
     def vd(self) -> Vector: ...  # noqa: D102
 
 
-def drift(samples: Sampled) -> tuple[Vector, Vector]:
+def drift(samples: Sampled, rates: tuple[Vector, Vector] | None = None) -> tuple[Vector, Vector]:
     """How far sampled velocities and accelerations are from the derivatives of positions and velocities.
 
     Over a step h from sample 0 to 1 the trapezium rule leaves v1 - v0 - h/2 (a0 + a1) = -h^3/12 a''. The samples of a
     themselves say how large h^2 a'' is: bend = |a_-1 - a_0 - a_1 + a_2| / 2, at the ends of a phase
-    |a_0 - 2 a_1 + a_2|. If a only has a kink between samples (a piecewise linear acceleration), the error is at most
-    h/4 times the bend; 5/12 leaves room for that and for the bend changing from step to step, and is still below the
-    h (or, at the ends, h/2) times the bend by which a single wrong sample of a is off. Acceleration that jumps within
-    a phase is not allowed.
+    |a_0 - 2 a_1 + a_2|. If a also has a kink between samples (a piecewise linear acceleration), the error is at most
+    5/12 h times the greatest bend of the step and of two steps to either side, which is attained where the kink
+    cancels the curve; and that is still below the h (or, at the ends, h/2) times the bend by which a single wrong
+    sample of a is off. Acceleration that jumps within a phase is not allowed.
 
-    Likewise q1 - q0 - h/2 (v0 + v1) + h^2/12 (a1 - a0), the trapezium rule with its end correction, is at most
-    0.016 h^2 times the bend for a kink and of higher order for smooth motion.
+    Likewise q1 - q0 - h/2 (q0' + q1') + h^2/12 (q1'' - q0''), the trapezium rule with its end correction, is at most
+    0.016 h^2 times the bend of q'' for a kink and of higher order for smooth motion. The angles of a floating base are
+    smooth functions of its attitude, so that a kink in its acceleration is one in theirs.
+
+    Args:
+        samples: The motion.
+        rates: First and second derivatives of the positions, shape (N, nq) each; by default the velocities and
+            accelerations, as for every robot without a floating base.
 
     Returns:
-        Errors over the greatest that are allowed, each of shape (N - 1, nv).
+        Errors over the greatest that are allowed, of shapes (N - 1, nq) and (N - 1, nv).
     """
     h = np.diff(samples.time)[:, None]
-    a = samples.vd
-    bend = np.zeros((len(h), a.shape[1]))
+    q, v, a = samples.q, samples.v, samples.vd
+    first, second = (v, a) if rates is None else rates
+    of_velocity = np.diff(v, axis=0) - h / 2 * (a[:-1] + a[1:])
+    of_position = np.diff(q, axis=0) - h / 2 * (first[:-1] + first[1:]) + h**2 / 12 * np.diff(second, axis=0)
+    position = np.abs(of_position) / (KINKS_IN_POSITION * h**2 * _bend(second) + SLACK * h)
+    velocity = np.abs(of_velocity) / (KINKS_IN_VELOCITY * h * _bend(a) + SLACK)
+    return position, velocity
+
+
+def _bend(a: Vector) -> Vector:
+    """How much accelerations (N, n) bend over each step, its two neighbours on either side counted in, (N - 1, n)."""
+    bend = np.zeros((len(a) - 1, a.shape[1]))
     if len(a) > 3:
         inner = np.abs(a[:-3] - a[1:-2] - a[2:-1] + a[3:]) / 2
-        # The bend passes through zero where its own slope matters, so the neighbours have a say.
-        padded = np.concatenate([inner[:1], inner, inner[-1:]])
-        bend[1:-1] = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
+        # A kink can cancel the curve around it in its own step and in both neighbours, but not in those beyond.
+        padded = np.pad(inner, ((2, 2), (0, 0)), mode="edge")
+        bend[1:-1] = sliding_window_view(padded, 5, axis=0).max(axis=-1)
     if len(a) > 2:
-        bend[0] = np.maximum(bend[min(1, len(h) - 1)], np.abs(a[0] - 2 * a[1] + a[2]))
-        bend[-1] = np.maximum(bend[max(-2, -len(h))], np.abs(a[-1] - 2 * a[-2] + a[-3]))
-    q, v = samples.q, samples.v
-    of_velocity = np.diff(v, axis=0) - h / 2 * (a[:-1] + a[1:])
-    of_position = np.diff(q, axis=0) - h / 2 * (v[:-1] + v[1:]) + h**2 / 12 * np.diff(a, axis=0)
-    position = np.abs(of_position) / (KINKS_IN_POSITION * h**2 * bend + SLACK * h)
-    velocity = np.abs(of_velocity) / (KINKS_IN_VELOCITY * h * bend + SLACK)
-    return position, velocity
+        bend[0] = np.maximum(bend[min(1, len(bend) - 1)], np.abs(a[0] - 2 * a[1] + a[2]))
+        bend[-1] = np.maximum(bend[max(-2, -len(bend))], np.abs(a[-1] - 2 * a[-2] + a[-3]))
+    return bend

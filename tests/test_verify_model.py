@@ -25,13 +25,14 @@ ODD = """\
 <robot name="odd" xmlns:drake="drake.mit.edu">
   <link name="body"><inertial><origin xyz="0.02 -0.03 0.01" rpy="0.1 0.2 0.3"/><mass value="1.5"/>
     <inertia ixx="0.003" iyy="0.004" izz="0.005" ixy="0.0002" ixz="0" iyz="0.0001"/></inertial></link>
-  <joint name="base" type="planar"><parent link="world"/><child link="body"/><axis xyz="0 0 1"/></joint>
+  BASE
   LINKS
 </robot>
 """
+PLANAR = '<joint name="base" type="planar"><parent link="world"/><child link="body"/><axis xyz="0 0 1"/></joint>'
 
 
-def odd_robot(folder: Path) -> Robot:
+def odd_robot(folder: Path, floating: bool = False) -> Robot:
     links = []
     actuators = []
     chains = {"left": ["a1", "a2", "a3"], "right": ["b1"]}
@@ -60,28 +61,46 @@ def odd_robot(folder: Path) -> Robot:
             <frame name="{limb}_foot" link="{limb}_toe" xyz="0.02 0.01 0" rpy="0 0 1"/>"""
         )
     path = folder / "odd.urdf"
-    path.write_text(ODD.replace("LINKS", "\n".join(links + actuators)))
+    path.write_text(ODD.replace("LINKS", "\n".join(links + actuators)).replace("BASE", "" if floating else PLANAR))
     feet = "".join(f"- {{name: {limb}, foot: {limb}_foot}}\n" for limb in chains)
     path.with_suffix(".yaml").write_text(f"pelvis: body\nlimbs:\n{feet}")
     return Robot(Model.load(path), gravity=(0.0, -8.0, -3.0))
 
 
-@pytest.mark.parametrize("which", ["quadruped", "odd"])
+def robot_of(which: str, folder: Path) -> Robot:
+    if which.startswith("odd"):
+        return odd_robot(folder, floating=which == "odd floating")
+    return Robot(Model.load(f"package://climber/{which}/{which}.urdf"), (1.0, -9.0, -2.0))
+
+
+@pytest.mark.parametrize("which", ["quadruped", "odd", "odd floating", "lemur"])
 def test_mechanics_agree_with_drake(which: str, tmp_path: Path) -> None:
-    robot = Robot(Model.load(QUADRUPED), (1.0, -9.0, -2.0)) if which == "quadruped" else odd_robot(tmp_path)
+    robot = robot_of(which, tmp_path)
     tree, drake, rng = Tree(robot), DrakeModel(robot), np.random.default_rng(0)
     size, count = robot.plant.num_positions(), 50
     q, v, vd = rng.normal(size=(3, count, size))
     force = 10.0 * rng.normal(size=(count, len(robot.limbs), 3))
+    moment = rng.normal(size=(count, len(robot.limbs)))
     poses = tree.poses(q)
-    ours = tree.feet(poses), tree.center_of_mass(poses), tree.required_force(poses, v, vd, force)
+    ours = tree.feet(poses), tree.center_of_mass(poses), tree.required_force(poses, v, vd, force, moment)
+    rates, _ = tree.rates(q, v, vd)
     context = robot.context()
     for k in range(count):
-        for a, b in zip(ours, drake.at(q[k], v[k], vd[k], force[k]), strict=True):
-            np.testing.assert_allclose(a[k], b, atol=1e-11)
+        for a, b in zip((*ours, rates), drake.at(q[k], v[k], vd[k], force[k], moment[k]), strict=True):
+            np.testing.assert_allclose(a[k], b, atol=1e-11, rtol=1e-10)
         robot.plant.SetPositions(context, q[k])
         pelvis = robot.pelvis.EvalPoseInWorld(context).translation()
         np.testing.assert_allclose(tree.pelvis(poses)[k], pelvis, atol=1e-12)
+
+
+@pytest.mark.parametrize("which", ["quadruped", "odd floating", "lemur"])
+def test_rates_of_positions_are_those_that_the_velocities_were_made_from(which: str, tmp_path: Path) -> None:
+    """The robot turns rates of positions into velocities and accelerations, and verify turns these back."""
+    robot, rng = robot_of(which, tmp_path), np.random.default_rng(1)
+    q, first, second = rng.uniform(-1.2, 1.2, (3, 50, robot.plant.num_positions()))
+    found = Tree(robot).rates(q, robot.v_of(q, first), robot.vd_of(q, first, second))
+    for rates, expected in zip(found, (first, second), strict=True):
+        np.testing.assert_allclose(rates, expected, atol=1e-12)
 
 
 def test_a_contact_force_enters_through_the_transposed_jacobian() -> None:
