@@ -19,7 +19,8 @@ from climber.geometry import TOUCH, Mask, common_points, disks_meet, disks_meet_
 from climber.graph import GraphRobot
 from climber.moves import OVERLAP
 from climber.polygon import crossing_sides, in_order, out_of_order_anywhere, swaps, worst_corner
-from climber.programs.equilibrium import SupportProgram, weight_in_plane
+from climber.programs.equilibrium import SupportProgram
+from climber.programs.forces import weight_in_plane
 from climber.programs.support import contact_intervals
 from climber.stance import Contact, Move, Stance, Vector
 from climber.wall import Wall

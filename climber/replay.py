@@ -9,7 +9,7 @@ import numpy as np
 
 from climber.exceptions import PlanFileError
 from climber.plan_file import Phase, RobotPlan
-from climber.programs.equilibrium import ContactForces, wall_forces, weight_in_plane
+from climber.programs.forces import ContactForces, wall_forces, weight_in_plane
 from climber.programs.support import support_intervals
 from climber.robot import Robot
 from climber.silhouette import Outline, Silhouette

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems import EQUILIBRIUM_PROBLEMS, MASS_OF_20_N, EquilibriumProblem, hold, random_wall
 
-from climber.programs.equilibrium import ContactForces, SupportInterval, SupportProgram, wall_forces, weight_in_plane
+from climber.programs.equilibrium import SupportInterval, SupportProgram
+from climber.programs.forces import ContactForces, wall_forces, weight_in_plane
 from climber.programs.support import contact_intervals, hold_set_intervals, support_intervals
 from climber.stance import Contact
 from climber.wall import GRIPS, Hold, Wall

@@ -17,7 +17,8 @@ from shapely.geometry import Point, Polygon, box
 
 from climber.exceptions import ClimberError
 from climber.graph import StanceGraph, build_stance_graph
-from climber.programs.equilibrium import SupportProgram, wall_forces, weight_in_plane
+from climber.programs.equilibrium import SupportProgram
+from climber.programs.forces import wall_forces, weight_in_plane
 from climber.programs.support import hold_set_intervals
 from climber.stance import Stance
 from climber.wall import GRIPS, Wall

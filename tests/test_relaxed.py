@@ -17,7 +17,8 @@ from climber.geometry import counter_clockwise, disks_meet
 from climber.graph import build_stance_graph
 from climber.moves import OVERLAP
 from climber.polygon import in_order
-from climber.programs.equilibrium import SupportProgram, wall_forces, weight_in_plane
+from climber.programs.equilibrium import SupportProgram
+from climber.programs.forces import wall_forces, weight_in_plane
 from climber.programs.support import contact_intervals
 from climber.relaxed import Check, RelaxedChecks, reach_lacking
 from climber.scenario_fields import CostWeights

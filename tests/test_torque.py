@@ -10,7 +10,7 @@ from problems import hold, random_wall
 from scipy.optimize import linprog
 
 from climber.dynamics import DynamicsBatch, evaluate, evaluate_at_rest
-from climber.programs.equilibrium import wall_forces
+from climber.programs.forces import wall_forces
 from climber.programs.instants import CENTERING, MIDWAY, Instants, Margin
 from climber.programs.torque import (
     REASONS,

@@ -1,4 +1,4 @@
-"""Many small quadratic programs of one shape in one call of Clarabel."""
+"""Many small quadratic programs of one shape, with second-order cones or without, in one call of Clarabel."""
 
 from __future__ import annotations
 
@@ -13,10 +13,21 @@ GAP = 1e-11  # accuracy asked of the optimal cost; that of x goes with its squar
 REDUCED = 1e-7  # accuracy that is still a solution if Clarabel gets no further
 
 
-def solve_blocks(P: Vector | None, q: Vector, E: Vector, b: Vector, G: Vector, g: Vector) -> Vector | None:
+def solve_blocks(
+    P: Vector | None,
+    q: Vector,
+    E: Vector,
+    b: Vector,
+    G: Vector,
+    g: Vector,
+    C: Vector | None = None,
+    d: Vector | None = None,
+) -> Vector | None:
     """Solves K programs at once as one block-diagonal program.
 
-        min  x^T P x / 2 + q^T x   subject to  E x = b,  G x <= g
+        min  x^T P x / 2 + q^T x   subject to  E x = b,  G x <= g,  d_i - C_i x in a second-order cone for i = 1..c
+
+    where a vector is in the cone if its first entry is at least the length of the rest.
 
     Building matrices for one call costs less than K calls, but the program is infeasible when one of the K is.
 
@@ -27,6 +38,8 @@ def solve_blocks(P: Vector | None, q: Vector, E: Vector, b: Vector, G: Vector, g
         b: Shape (K, u).
         G: Shape (K, r, n).
         g: Shape (K, r), finite.
+        C: Shape (K, c, m, n); None for no cones.
+        d: Shape (K, c, m).
 
     Returns:
         The solutions, shape (K, n), or None if Clarabel found none, be it infeasible or difficult.
@@ -42,13 +55,19 @@ def solve_blocks(P: Vector | None, q: Vector, E: Vector, b: Vector, G: Vector, g
     settings.tol_feas = FEASIBILITY
     settings.tol_gap_abs = settings.tol_gap_rel = GAP
     settings.reduced_tol_feas = settings.reduced_tol_gap_abs = settings.reduced_tol_gap_rel = REDUCED
-    rows = np.concatenate([np.arange(K * u).reshape(K, u), K * u + np.arange(K * r).reshape(K, r)], axis=1)
-    constraints = _stack(np.concatenate([E, G], axis=1), rows, K * (u + r))
+    rows = [np.arange(K * u).reshape(K, u), K * u + np.arange(K * r).reshape(K, r)]
+    blocks, right = [E, G], [b.ravel(), g.ravel()]
+    cones: list[object] = [clarabel.ZeroConeT(K * u), clarabel.NonnegativeConeT(K * r)]
+    if C is not None and d is not None and d.size:
+        _, c, m = d.shape
+        rows.append(K * (u + r) + np.arange(K * c * m).reshape(K, c * m))
+        blocks.append(C.reshape(K, c * m, n))
+        right.append(d.ravel())
+        cones += [clarabel.SecondOrderConeT(m)] * (K * c)
+    constraints = _stack(np.concatenate(blocks, axis=1), np.concatenate(rows, axis=1), sum(map(len, right)))
     columns = np.arange(K * n).reshape(K, n)
     quadratic = sparse.csc_matrix((K * n, K * n)) if P is None else _stack(np.triu(P), columns, K * n)
-    cones = [clarabel.ZeroConeT(K * u), clarabel.NonnegativeConeT(K * r)]
-    right = np.concatenate([b.ravel(), g.ravel()])
-    solver = clarabel.DefaultSolver(quadratic, q.ravel(), constraints, right, cones, settings)
+    solver = clarabel.DefaultSolver(quadratic, q.ravel(), constraints, np.concatenate(right), cones, settings)
     solution = solver.solve()
     if solution.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
         return None

@@ -1,8 +1,8 @@
 """Can these contacts carry the robot, and where may its centre of mass be?
 
-Contact forces are zonotopes: a contact pushes with `f = offset + G t`, `lower <= t <= upper`, so that friction (Gönen
-2021, eqs. 4.8-4.11), pins and magnets are one model and every question below stays linear. A gripper on a pin may also
-turn it: a generator without direction then has a moment.
+In the plane contact forces are zonotopes: a contact pushes with `f = offset + G t`, `lower <= t <= upper`, so that
+friction (Gönen 2021, eqs. 4.8-4.11), pins and magnets are one model (`climber.programs.forces`) and every question
+below stays linear.
 
 `SupportProgram` is the reference, one `MathematicalProgram` for one set of contacts; `climber.programs.support` answers
 the same question for many sets at once and must agree with it.
@@ -15,91 +15,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.solvers import ClarabelSolver, ClpSolver, MathematicalProgram
 
+from climber.programs.forces import ContactForces, wall_forces, weight_in_plane
 from climber.stance import Contact, Vector
 from climber.wall import Wall
-
-
-@dataclass(frozen=True)
-class ContactForces:
-    """What contacts can push with: `f = offset + generators @ t`, `lower <= t <= upper`, forces in W.
-
-    The leading shape `...` is whatever the contacts are indexed by: holds, or sets and places in a set.
-
-    Attributes:
-        offset: Force at t = 0 [N], shape (..., 3).
-        generators: Directions of the generators, unit vectors as columns, shape (..., 3, p).
-        lower: Least multiple of each generator [N], shape (..., p).
-        upper: Greatest multiple of each generator [N], shape (..., p).
-        moments: Moment about z that comes with each multiple, shape (..., p): zero, or one for a generator whose
-            direction is zero and whose multiples are [N m]; None for no such generators.
-    """
-
-    offset: Vector
-    generators: Vector
-    lower: Vector
-    upper: Vector
-    moments: Vector | None = None
-
-    def __getitem__(self, index: object) -> ContactForces:
-        """The contacts at `index`, which indexes the leading axes."""
-        i: NDArray[np.int64] = index  # type: ignore[assignment]
-        moments = None if self.moments is None else self.moments[i]
-        return ContactForces(self.offset[i], self.generators[i], self.lower[i], self.upper[i], moments)
-
-
-def wall_forces(wall: Wall) -> ContactForces:
-    """The forces that each hold offers to a planar robot, see `_wall_forces`; computed once for each wall."""
-    kept: dict[str, ContactForces] = vars(wall)  # as cached properties keep what they computed
-    if "_forces" not in kept:
-        kept["_forces"] = _wall_forces(wall)
-    return kept["_forces"]
-
-
-def _wall_forces(wall: Wall) -> ContactForces:
-    """The forces that each hold offers to a planar robot; the leading shape is (num_holds,).
-
-    Friction: the two edges of the cone (eq. 4.8), each between `min_force` and `max_force` (eq. 4.9). Pin: the axes of
-    the plane, each up to `max_force` either way. Magnet: the edges of the cone, shifted by `adhesion` into the hold.
-    So p is 2; where grippers can turn any of the pins, each hold has a third generator for the moment.
-
-    Raises:
-        ValueError: If the normal of a friction cone leaves the wall plane; the section of a tilted cone is not the cone
-            of its section.
-    """
-    holds, normals = wall.holds, wall.normals
-    pin = np.array([hold.grip == "pin" for hold in holds], dtype=bool)
-    tilted = np.flatnonzero((np.abs(normals[:, 2]) > 1e-9) & ~pin)
-    if len(tilted):
-        normal = holds[tilted[0]].normal
-        raise ValueError(f"a planar friction cone needs a normal in the wall plane; hold {tilted[0]} has {normal}")
-    half_angle = np.arctan([hold.friction for hold in holds])[:, None]
-    across = np.stack([-normals[:, 1], normals[:, 0], np.zeros(len(holds))], axis=1)
-    along, aside = np.cos(half_angle) * normals, np.sin(half_angle) * across
-    edges = np.stack([along + aside, along - aside], axis=2)  # (num_holds, 3, 2)
-    most = np.array([hold.max_force for hold in holds], dtype=float)
-    least = np.where(pin, -most, [hold.min_force for hold in holds])
-    adhesion = np.array([hold.adhesion if hold.grip == "magnet" else 0.0 for hold in holds], dtype=float)
-    offset, generators = -adhesion[:, None] * normals, np.where(pin[:, None, None], np.eye(3)[:, :2], edges)
-    lower, upper = np.repeat(least[:, None], 2, axis=1), np.repeat(most[:, None], 2, axis=1)
-    moment = np.array([hold.max_moment if hold.grip == "pin" else 0.0 for hold in holds], dtype=float)
-    if not moment.any():
-        return ContactForces(offset, generators, lower, upper)
-    return ContactForces(
-        offset,
-        np.concatenate([generators, np.zeros((len(holds), 3, 1))], axis=2),
-        np.column_stack([lower, -moment]),
-        np.column_stack([upper, moment]),
-        np.tile([0.0, 0.0, 1.0], (len(holds), 1)),
-    )
-
-
-def weight_in_plane(wall: Wall, mass: float) -> float:
-    """The pull on the robot down along the wall [N]; zero on a floor, where nothing ties the centre of mass."""
-    weight = float(mass * np.hypot(*wall.gravity[:2]))
-    return weight if weight > 1e-9 else 0.0
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Instants of a motion as linear equations: which contact forces and torques make the robot move as it should?
 
 The equations of motion M vd + h = S^T tau + J_c^T f (Gönen 2021, 4.24) with contact forces `f = offset + G t` that the
-holds can give (`climber.programs.equilibrium`) are linear in t; the rows without a motor restrict t, the others give
+holds can give (`climber.programs.forces`) are linear in t; the rows without a motor restrict t, the others give
 the torques. `climber.programs.torque` solves for t.
 """
 
@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from climber.programs.equilibrium import ContactForces
+from climber.programs.forces import ContactForces, ForceLimits
 from climber.robot import Indices, Robot
 from climber.stance import Vector
 
@@ -32,6 +32,7 @@ class Margin:
 
     Attributes:
         force: Distance of each generator's multiple from both its limits [N]; less if these are closer than twice that.
+            In space, how far both apexes of a cone move towards each other.
         torque: Part of each torque limit that is left unused.
     """
 
@@ -46,6 +47,8 @@ class Instants:
     A multiple of a generator of moments is in [N m] where the attributes say [N].
 
         E t = b,  tau = c - A t,  lower <= t <= upper,  |tau| <= limit
+
+    and, in space, t in the friction cones whose apexes `lower` and `upper` hold.
 
     Attributes:
         E: Wrench of the generators on the velocities without a motor, shape (K, u, n).
@@ -134,25 +137,38 @@ class Instants:
 
         It is sum_j (tau_j / tau_max_j)^2 + w sum_i ((t_i - aim_i) / half_range_i)^2 up to a constant.
         """
-        aim, half, effort = self.scales
+        aim, stiffness, effort = self.scales
         scaled = self.A / effort[:, None]
-        H: Vector = 2.0 * (np.einsum("sji,sjl->sil", scaled, scaled) + np.diag(CENTERING / half**2))
-        g: Vector = -2.0 * (np.einsum("sji,sj->si", scaled, self.c / effort) + CENTERING * aim / half**2)
+        H: Vector = 2.0 * (np.einsum("sji,sjl->sil", scaled, scaled) + np.diag(stiffness))
+        g: Vector = -2.0 * (np.einsum("sji,sj->si", scaled, self.c / effort) + stiffness * aim)
         return H, g
 
     @cached_property
     def scales(self) -> tuple[Vector, Vector, Vector]:
-        """Multiples preferred [N], half the range of their limits [N] (1 if none), torque limits [N m] (1 if none)."""
+        """Multiples preferred [N], cost of the square of leaving them [1/N^2], torque limits [N m] (1 if none).
+
+        The cost is w / half_range^2, where there is no range w; in space a cone's multiples weigh as their two do in
+        the plane.
+        """
         lower, upper = self.forces.lower.ravel(), self.forces.upper.ravel()
-        half = 0.5 * (upper - lower)
+        half, weight = (x.ravel() for x in self.forces.scales())
         aim = (1.0 - MIDWAY) * np.clip(0.0, lower, upper) + MIDWAY * 0.5 * (lower + upper)
-        return aim, np.where(half > 0.0, half, 1.0), np.where(self.effort < np.inf, self.effort, 1.0)
+        stiffness = CENTERING * weight / np.where(half > 0.0, half, 1.0) ** 2
+        return aim, stiffness, np.where(self.effort < np.inf, self.effort, 1.0)
+
+    @cached_property
+    def _force_limits(self) -> ForceLimits:
+        return self.forces.limits(self.lower, self.upper)
 
     def force_limits(self) -> tuple[Vector, Vector]:
-        """Matrix, shape (K, 2 n, n), and right side, (K, 2 n), of lower <= t <= upper."""
-        K, n = len(self), len(self.lower)
-        rows = np.broadcast_to(np.concatenate([np.eye(n), -np.eye(n)]), (K, 2 * n, n))
-        return rows, np.broadcast_to(np.concatenate([self.upper, -self.lower]), (K, 2 * n))
+        """Matrix, shape (K, r, n), and right side, (K, r), of the linear limits, lower <= t <= upper in the plane."""
+        K, (R, g) = len(self), (self._force_limits.R, self._force_limits.g)
+        return np.broadcast_to(R, (K, *R.shape)), np.broadcast_to(g, (K, *g.shape))
+
+    def force_cones(self) -> tuple[Vector, Vector]:
+        """C, shape (K, c, 3, n), and d, (K, c, 3), of the limits d - C t in second-order cones; none in the plane."""
+        K, (C, d) = len(self), (self._force_limits.C, self._force_limits.d)
+        return np.broadcast_to(C, (K, *C.shape)), np.broadcast_to(d, (K, *d.shape))
 
     def torque_limits(self) -> tuple[Vector, Vector]:
         """Matrix, shape (K, 2 l, n), and right side, (K, 2 l), of |c - A t| <= limit for the l motors that have one."""
@@ -173,9 +189,10 @@ class Instants:
 
     def inside(self, t: Vector) -> Mask:
         """Whether t, shape (K, n), and its torques are inside all limits, shape (K,)."""
-        forces = (self.lower <= t) & (t <= self.upper)
+        shape = self.forces.lower.shape
+        excess = self.forces.excess(t.reshape(len(t), *shape), self.lower.reshape(shape), self.upper.reshape(shape))
         torques = np.abs(self.motor_torque(t)) <= self.limit
-        return np.asarray(forces.all(axis=1) & torques.all(axis=1))
+        return np.asarray((excess <= 0.0).all(axis=1) & torques.all(axis=1))
 
     def motor_torque(self, t: Vector) -> Vector:
         """Torques of the joints with a motor, c - A t [N m], shape (K, j), for t of shape (K, n)."""

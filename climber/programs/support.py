@@ -25,7 +25,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from climber.programs.equilibrium import ContactForces, wall_forces, weight_in_plane
+from climber.programs.forces import ContactForces, wall_forces, weight_in_plane
 from climber.stance import Contact, Vector
 from climber.wall import Wall
 

@@ -20,8 +20,8 @@ from pydrake.solvers import Binding, ClarabelSolver, MathematicalProgram, Solver
 
 from climber.dynamics import DynamicsBatch, evaluate_at_rest, turning
 from climber.programs import torque_blocks
-from climber.programs.equilibrium import ContactForces, wall_forces
-from climber.programs.instants import CENTERING, Instants, Margin, Mask
+from climber.programs.forces import ContactForces, ForceLimits, wall_forces
+from climber.programs.instants import Instants, Margin, Mask
 from climber.robot import Robot
 from climber.stance import Contact, Vector
 from climber.wall import Wall
@@ -105,11 +105,12 @@ class TorqueProgram:
     Given the state q, v, the acceleration vd, and contacts i = 1..k with forces f_i = o_i + G_i t_i [N] and Jacobians
     J_i, find forces and torques tau [N m] that satisfy the equations of motion (Gönen 2021, 4.24) within all limits:
 
-        min         sum_j (tau_j / tau_max_j)^2 + w sum_i |(t_i - aim_i) / half_range_i|^2
+        min         sum_j (tau_j / tau_max_j)^2 + w sum_i |(t_i - aim_i) / half_range_i|^2    (2 w for u and s)
         over        t_1, ..., t_k, tau, s_f, s_tau
         subject to  (1) sum_i J_i^T f_i = M vd + h           in the rows without a motor (the pelvis)
                     (2) tau + sum_i J_i^T f_i = M vd + h     in the rows with one
-                    (3) lower_i - s_f <= t_i <= upper_i + s_f
+                    (3) lower_i - s_f <= t_i <= upper_i + s_f, or in space, with t_i = (u, s),
+                        |u| <= s - lower_i + s_f,  |u| <= upper_i + s_f - s
                     (4) |tau_j| <= limit_j + s_tau
                     (5) s_f = s_tau = 0
 
@@ -145,7 +146,10 @@ class TorqueProgram:
         k, p = instant.forces.lower.shape
         for i in range(k):
             mine = slice(i * p, (i + 1) * p)
-            self._limit(f"force of contact {i}", self.t[mine], self.s_f, instant.lower[mine], instant.upper[mine])
+            if instant.forces.round is not None and instant.forces.round[i]:
+                self._cones(i, self.t[mine], instant.forces[i : i + 1].limits(instant.lower[mine], instant.upper[mine]))
+            else:
+                self._limit(f"force of contact {i}", self.t[mine], self.s_f, instant.lower[mine], instant.upper[mine])
         for j in np.flatnonzero(np.isfinite(instant.limit)):
             limit = instant.limit[j : j + 1]
             self._limit(f"torque of joint {instant.motors[j]}", self.tau[j : j + 1], self.s_tau, -limit, limit)
@@ -160,15 +164,27 @@ class TorqueProgram:
         greatest = self.prog.AddLinearConstraint(rows, -infinity, upper, variables)
         greatest.evaluator().set_description(f"greatest {name}")
 
+    def _cones(self, i: int, t: Vector, limits: ForceLimits) -> None:
+        """Adds the friction cones of contact i, or the pyramids that stand for them, the apexes moved by s_f."""
+        variables = np.append(t, [self.s_f])
+        if len(limits.g):
+            rows = np.hstack([limits.R, np.full((len(limits.g), 1), -1.0)])
+            row = self.prog.AddLinearConstraint(rows, np.full(len(limits.g), -np.inf), limits.g, variables)
+            row.evaluator().set_description(f"linear limits of contact {i}")
+        for C, d, name in zip(limits.C, limits.d, ("least", "greatest"), strict=False):
+            rows = np.hstack([-C, np.array([[1.0], [0.0], [0.0]])])
+            cone = self.prog.AddLorentzConeConstraint(rows, d, variables)
+            cone.evaluator().set_description(f"friction cone of contact {i}, {name} force")
+
     def solve(self) -> TorqueResult:
         """Forces and torques that make the motion, or what cannot be met and by how much."""
         t = self._instant.balanced(np.zeros((1, len(self.t))))
         imbalance = float(self._instant.imbalance(t)[0])
         if imbalance > TOLERANCE:
             return self._result(t, "force balance", imbalance)
-        aim, half, effort = self._instant.scales
-        weights = 2.0 * np.concatenate([CENTERING / half**2, 1.0 / effort**2])
-        slope = np.concatenate([-2.0 * CENTERING * aim / half**2, np.zeros(len(effort))])
+        aim, stiffness, effort = self._instant.scales
+        weights = 2.0 * np.concatenate([stiffness, 1.0 / effort**2])
+        slope = np.concatenate([-2.0 * stiffness * aim, np.zeros(len(effort))])
         smooth = self.prog.AddQuadraticCost(np.diag(weights), slope, np.concatenate([self.t, self.tau]))
         best = self._minimize(smooth, most_s_f=0.0, most_s_tau=0.0)
         if best is not None:
@@ -225,7 +241,7 @@ def phase_torques(
     """
     turns = turning(robot, [contact.limb for contact in contacts])
     load = dynamics.load(vd)
-    return solve_instants(Instants.of_loads(robot, _forces(wall, contacts), load, dynamics.J, margin, turns))
+    return solve_instants(Instants.of_loads(robot, _forces(robot, wall, contacts), load, dynamics.J, margin, turns))
 
 
 def solve_instants(instants: Instants) -> TorqueBatch:
@@ -263,7 +279,7 @@ def static_feasible(robot: Robot, wall: Wall, q: Vector, contacts: Sequence[Cont
     """Which of the postures q, shape (K, nq), can be held still by the contacts and the motors, shape (K,)."""
     limbs = [contact.limb for contact in contacts]
     h, J = evaluate_at_rest(robot, q, limbs)
-    instants = Instants.of_loads(robot, _forces(wall, contacts), h, J, margin, turning(robot, limbs))
+    instants = Instants.of_loads(robot, _forces(robot, wall, contacts), h, J, margin, turning(robot, limbs))
     t = torque_blocks.unlimited(instants)
     balanced = instants.imbalance(t) <= TOLERANCE
     good = balanced & instants.inside(t)
@@ -272,6 +288,6 @@ def static_feasible(robot: Robot, wall: Wall, q: Vector, contacts: Sequence[Cont
     return good
 
 
-def _forces(wall: Wall, contacts: Sequence[Contact]) -> ContactForces:
+def _forces(robot: Robot, wall: Wall, contacts: Sequence[Contact]) -> ContactForces:
     """The forces of the contacts, leading shape (k,)."""
-    return wall_forces(wall)[np.array([contact.hold for contact in contacts], dtype=int)]
+    return wall_forces(wall, robot.dimension)[np.array([contact.hold for contact in contacts], dtype=int)]

@@ -38,9 +38,11 @@ def optimum(instants: Instants, unlimited: Vector) -> Vector | None:
     """
     H, _ = instants.objective()
     rows, limits = _all_limits(instants)
+    C, d = instants.force_cones()
     room = limits - np.einsum("srn,sn->sr", rows, unlimited)
-    d = solve_blocks(H, np.zeros_like(unlimited), instants.E, np.zeros_like(instants.b), rows, room)
-    return None if d is None else instants.balanced(unlimited + d)
+    cone_room = d - np.einsum("scan,sn->sca", C, unlimited)
+    change = solve_blocks(H, np.zeros_like(unlimited), instants.E, np.zeros_like(instants.b), rows, room, C, cone_room)
+    return None if change is None else instants.balanced(unlimited + change)
 
 
 def least_violation(instants: Instants) -> tuple[Vector, Vector]:
@@ -59,11 +61,12 @@ def least_torque_violation(instants: Instants) -> tuple[Vector, Vector]:
     """Balancing forces inside their limits with the least s_tau: t (K, n) and s_tau (K,) [N m]."""
     (forces, force_limits), (torques, torque_limits) = instants.force_limits(), instants.torque_limits()
     rows = np.concatenate([_slackened(forces, 0.0), _slackened(torques, 1.0)], axis=1)
-    return _least_slack(instants, rows, np.concatenate([force_limits + TOLERANCE, torque_limits], axis=1), 0.0)
+    limits = np.concatenate([force_limits + TOLERANCE, torque_limits], axis=1)
+    return _least_slack(instants, rows, limits, 0.0, cones_give=False)
 
 
 def _all_limits(instants: Instants) -> tuple[Vector, Vector]:
-    """Matrix (K, r, n) and right side (K, r) of the limits of forces and torques."""
+    """Matrix (K, r, n) and right side (K, r) of the linear limits of forces and torques."""
     (forces, force_limits), (torques, torque_limits) = instants.force_limits(), instants.torque_limits()
     return np.concatenate([forces, torques], axis=1), np.concatenate([force_limits, torque_limits], axis=1)
 
@@ -73,14 +76,25 @@ def _slackened(rows: Vector, slack: float) -> Vector:
     return np.concatenate([rows, np.full((*rows.shape[:2], 1), -slack)], axis=2)
 
 
-def _least_slack(instants: Instants, rows: Vector, limits: Vector, lowest: float) -> tuple[Vector, Vector]:
-    """The least s >= lowest with E t = b and rows (t, s) <= limits, a linear program: t (K, n) and s (K,)."""
+def _least_slack(
+    instants: Instants, rows: Vector, limits: Vector, lowest: float, cones_give: bool = True
+) -> tuple[Vector, Vector]:
+    """The least s >= lowest with E t = b and rows (t, s) <= limits, a conic program: t (K, n) and s (K,).
+
+    The apexes of friction cones give way by s too, or else by no more than rounding.
+    """
     K, n = len(instants), len(instants.lower)
     cost, bound = np.zeros((K, n + 1)), np.zeros((K, 1, n + 1))
     cost[:, n], bound[:, 0, n] = 1.0, -1.0
     rows = np.concatenate([rows, bound], axis=1)
     limits = np.concatenate([limits, np.full((K, 1), -lowest)], axis=1)
-    solution = solve_blocks(None, cost, _slackened(instants.E, 0.0), instants.b, rows, limits)
+    cones, tops = instants.force_cones()
+    C, d = np.concatenate([cones, np.zeros((*cones.shape[:3], 1))], axis=3), tops.copy()
+    if cones_give:
+        C[:, :, 0, n] = -1.0
+    else:
+        d[:, :, 0] += TOLERANCE
+    solution = solve_blocks(None, cost, _slackened(instants.E, 0.0), instants.b, rows, limits, C, d)
     if solution is None:
         raise RuntimeError("Clarabel finds no forces that balance the robot although there are some")
     return solution[:, :n], solution[:, n]
