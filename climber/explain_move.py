@@ -132,8 +132,7 @@ def _moves_to(reached: Reached | None, stance: Stance) -> int | None:
 
 
 def _planner(scenario: Scenario, index: int, climb: RelaxedClimb) -> MotionPlanner:
-    off_limits = tuple(region.outline() for region in scenario.robots[index].avoid.regions)
-    wall = replace(climb.wall, obstacles=climb.wall.obstacles + off_limits)
+    wall = climb.wall.closing(scenario.robots[index].avoid.regions)
     rng = np.random.default_rng(scenario.seed)
     finder = TransitionFinder(Body(climb.robot, wall), rng, Effort.of(scenario.budget))
     return MotionPlanner(finder, MotionBudget.of(scenario.budget))

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
 from typing import cast
@@ -124,10 +124,9 @@ class ClimbSearch:
         self.spec = scenario.robots[self.index]
         wall = scenario.build_wall()
         # What this robot must not enter is an obstacle to it.
-        off_limits = tuple(region.outline() for region in self.spec.avoid.regions)
-        wall = replace(wall, obstacles=wall.obstacles + off_limits)
+        wall = wall.closing(self.spec.avoid.regions)
         self.robot = Robot(Model.load(self.spec.model, scenario.folder), wall.gravity)
-        check_against_robot(scenario, self.index, self.robot.limb_names, self.robot.joint_limits)
+        check_against_robot(scenario, self.index, self.robot.limb_names, self.robot.joint_limits, self.robot.planar)
         self.body = Body(self.robot, wall)
         self.finder = TransitionFinder(self.body, np.random.default_rng(self.seed), Effort.of(scenario.budget))
         self.planner = MotionPlanner(self.finder, MotionBudget.of(scenario.budget))

@@ -131,7 +131,7 @@ class RelaxedClimb:
         """
         spec, wall = scenario.robots[index], scenario.build_wall()
         robot = Robot(Model.load(spec.model, scenario.folder), wall.gravity)
-        check_against_robot(scenario, index, robot.limb_names, robot.joint_limits)
+        check_against_robot(scenario, index, robot.limb_names, robot.joint_limits, robot.planar)
         limbs = robot.limb_names
         waypoints = [
             Target.of(place, f"waypoint {place.name}" if place.name else f"waypoint {number}", limbs)

@@ -18,9 +18,13 @@ from climber.resources import packaged_scenarios, resolve_model, resolve_scenari
 from climber.scenario_check import check_against_robot, check_scenario
 from climber.scenario_fields import (
     AvoidSpec,
+    BoxSpec,
     Budget,
     CircleSpec,
+    ConvexSpec,
     CostWeights,
+    CylinderSpec,
+    FacetSpec,
     HoldDefaults,
     HoldSpec,
     Place,
@@ -28,6 +32,7 @@ from climber.scenario_fields import (
     RegionSpec,
     RobotSpec,
     ScenarioFields,
+    SphereSpec,
     WallSpec,
 )
 from climber.wall import Wall
@@ -35,9 +40,13 @@ from climber.yaml_tree import check_tree, read_tree
 
 __all__ = [
     "AvoidSpec",
+    "BoxSpec",
     "Budget",
     "CircleSpec",
+    "ConvexSpec",
     "CostWeights",
+    "CylinderSpec",
+    "FacetSpec",
     "HoldDefaults",
     "HoldSpec",
     "Place",
@@ -45,6 +54,7 @@ __all__ = [
     "RegionSpec",
     "RobotSpec",
     "Scenario",
+    "SphereSpec",
     "WallSpec",
     "check_against_robot",
     "load_scenario",
@@ -70,9 +80,9 @@ class Scenario(ScenarioFields):
         """The wall with its holds completed from the defaults and obstacles no smaller than they are."""
         return Wall(
             holds=tuple(hold.build(self.wall.hold_defaults) for hold in self.wall.holds),
-            obstacles=tuple(region.outline() for region in self.wall.obstacles),
             inclination_deg=self.wall.inclination_deg,
-        )
+            facets=tuple(facet.build() for facet in self.wall.facets),
+        ).closing(self.wall.obstacles)
 
     def model_path(self, robot_index: int) -> Path:
         """The model file of one robot."""

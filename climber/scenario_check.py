@@ -6,24 +6,29 @@ What needs only the file is checked when it is read; what needs the robot's limb
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 from shapely.geometry import Polygon
 from shapely.validation import explain_validity
 
 from climber.exceptions import ModelError
 from climber.resources import resolve_model
+from climber.solids import newell
 from climber.yaml_tree import join, nearest
 
 if TYPE_CHECKING:
     from climber.scenario import Scenario
-    from climber.scenario_fields import Place, RegionSpec
+    from climber.scenario_fields import Place, RegionSpec, RobotSpec
 
 _SMALLEST_NORMAL = 1e-9
 _SMALLEST_AREA = 1e-12  # [m^2]
+_SMALLEST_DEPTH = 1e-6  # [m]
+_FLAT = 1e-6  # [m] corners of a facet are written with so many decimals
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _MODELS = (".urdf", ".sdf", ".xml")
 
@@ -37,6 +42,7 @@ def check_scenario(scenario: Scenario) -> None:
     _check_holds(scenario)
     for number, region in enumerate(scenario.wall.obstacles):
         _check_region(scenario, region, f"wall.obstacles[{number}]")
+    _check_facets(scenario)
     _check_names(scenario)
     started: dict[int, str] = {}
     ended: dict[int, str] = {}
@@ -57,6 +63,7 @@ def check_against_robot(
     robot_index: int,
     limb_names: Sequence[str],
     joint_limits: Mapping[str, tuple[float, float]],
+    planar: bool = True,
 ) -> None:
     """Checks what a scenario says of a robot against the robot.
 
@@ -65,15 +72,17 @@ def check_against_robot(
         robot_index: Which of its robots.
         limb_names: The limbs of that robot, in limb order.
         joint_limits: Lower and upper limit of each joint by name [rad].
+        planar: Whether its pelvis stays in the wall plane.
 
     Raises:
         ScenarioError: If a limb or joint is unknown, a limb has no hold, a demand on holds has not one for every
-            limb, or a joint angle is outside its limits.
+            limb, a joint angle is outside its limits, or a planar robot is given a region of space.
     """
     robot, path = scenario.robots[robot_index], f"robots[{robot_index}]"
     _check_limbs(scenario, robot.start, f"{path}.start", limb_names)
-    places = [(f"{path}.goal", robot.goal)]
-    places += [(f"{path}.waypoints[{number}]", place) for number, place in enumerate(robot.waypoints)]
+    places = _places(robot, path)
+    if planar:
+        _check_in_plane(scenario, robot, path)
     for where, place in places:
         if place.stance is not None:
             _check_limbs(scenario, place.stance, f"{where}.stance", limb_names)
@@ -86,6 +95,27 @@ def check_against_robot(
         lower, upper = joint_limits[joint]
         if not lower <= angle <= upper:
             raise scenario.error(where, angle, f"the joint's range, {lower:g} to {upper:g} rad")
+
+
+def _places(robot: RobotSpec, path: str) -> list[tuple[str, Place]]:
+    """The goal and the waypoints by field path."""
+    waypoints = [(f"{path}.waypoints[{number}]", place) for number, place in enumerate(robot.waypoints)]
+    return [(f"{path}.goal", robot.goal), *waypoints]
+
+
+def _check_in_plane(scenario: Scenario, robot: RobotSpec, path: str) -> None:
+    """Refuses what reaches out of the plane of a planar robot."""
+    regions = [(f"wall.obstacles[{number}]", region) for number, region in enumerate(scenario.wall.obstacles)]
+    regions += [(f"{path}.avoid.regions[{number}]", region) for number, region in enumerate(robot.avoid.regions)]
+    regions += [(f"{where}.pelvis", place.pelvis) for where, place in _places(robot, path) if place.pelvis is not None]
+    for where, region in regions:
+        if region.solid is not None:
+            shape = next(name for name in ("sphere", "box", "cylinder", "convex") if getattr(region, name) is not None)
+            raise scenario.error(where, shape, f"circle or polygon, for {robot.name} moves in the wall plane only")
+    for number, facet in enumerate(scenario.wall.facets):
+        if max(corner[2] for corner in facet.corners) > 0.0:
+            allowed = f"corners with z no greater than 0, for {robot.name} moves in the plane z = 0 before it"
+            raise scenario.error(f"wall.facets[{number}].corners", facet.corners, allowed)
 
 
 def _check_limbs(scenario: Scenario, stance: Mapping[str, int], path: str, limb_names: Sequence[str]) -> None:
@@ -104,10 +134,7 @@ def _check_holds(scenario: Scenario) -> None:
         raise scenario.error(f"{common}.min_force", defaults.min_force, f"at most max_force, {defaults.max_force:g}")
     for number, spec in enumerate(scenario.wall.holds):
         path = f"wall.holds[{number}]"
-        if math.hypot(*spec.normal) < _SMALLEST_NORMAL:
-            raise scenario.error(f"{path}.normal", spec.normal, "a direction, a vector that is not zero")
-        if not math.isfinite(math.hypot(*spec.normal)):
-            raise scenario.error(f"{path}.normal", spec.normal, "a direction whose length a float can hold")
+        _check_direction(scenario, spec.normal, f"{path}.normal")
         hold = spec.build(defaults)
         if hold.grip != "pin" and hold.min_force > hold.max_force:  # a pin has no least force
             if spec.min_force is not None or spec.max_force is None:
@@ -121,14 +148,22 @@ def _check_holds(scenario: Scenario) -> None:
 
 
 def _check_region(scenario: Scenario, region: RegionSpec, path: str) -> None:
-    shapes = [shape for shape in (region.circle, region.polygon) if shape is not None]
-    if len(shapes) != 1:
-        given = "both circle and polygon" if shapes else "neither circle nor polygon"
-        raise scenario.error(path, given, "one of circle: {center, radius} and polygon: {vertices}")
-    if region.polygon is None:
-        return
-    vertices = region.polygon.vertices
-    where = f"{path}.polygon.vertices"
+    given = [shape.name for shape in dataclasses.fields(region) if getattr(region, shape.name) is not None]
+    if len(given) != 1:
+        allowed = "one of circle: {center, radius}, polygon: {vertices}, sphere, box, cylinder and convex"
+        raise scenario.error(path, " and ".join(given) if given else "no shape", allowed)
+    if region.polygon is not None:
+        _check_polygon(scenario, region.polygon.vertices, f"{path}.polygon.vertices")
+    if region.cylinder is not None:
+        _check_direction(scenario, region.cylinder.axis, f"{path}.cylinder.axis")
+    if region.convex is not None:
+        vertices = region.convex.vertices
+        spread = np.linalg.svd(np.array(vertices) - np.mean(vertices, axis=0), compute_uv=False)
+        if len(vertices) < 4 or spread[2] < _SMALLEST_DEPTH:
+            raise scenario.error(f"{path}.convex.vertices", vertices, "at least four points, not all in one plane")
+
+
+def _check_polygon(scenario: Scenario, vertices: list[list[float]], where: str) -> None:
     if len({tuple(vertex) for vertex in vertices}) < 3:
         raise scenario.error(where, vertices, "at least three different vertices")
     polygon = Polygon(vertices)
@@ -137,6 +172,37 @@ def _check_region(scenario: Scenario, region: RegionSpec, path: str) -> None:
         raise scenario.error(where, vertices, f"a boundary that does not meet itself ({wrong})")
     if polygon.area < _SMALLEST_AREA:
         raise scenario.error(where, vertices, "a polygon with an area")
+
+
+def _check_direction(scenario: Scenario, direction: list[float], path: str) -> None:
+    if math.hypot(*direction) < _SMALLEST_NORMAL:
+        raise scenario.error(path, direction, "a direction, a vector that is not zero")
+    if not math.isfinite(math.hypot(*direction)):
+        raise scenario.error(path, direction, "a direction whose length a float can hold")
+
+
+def _check_facets(scenario: Scenario) -> None:
+    """Facets are convex and flat, and no hold is inside the rock."""
+    for number, spec in enumerate(scenario.wall.facets):
+        where, corners = f"wall.facets[{number}].corners", np.array(spec.corners)
+        if len(corners) < 3:
+            raise scenario.error(where, spec.corners, "at least three corners")
+        normal = newell(corners - corners[0])
+        off = np.abs((corners - corners[0]) @ normal).max()
+        if off > _FLAT:
+            raise scenario.error(where, spec.corners, f"corners in one plane; they are up to {off:.3g} m off it")
+        along = np.roll(corners, -1, axis=0) - corners
+        turns = np.cross(along, np.roll(along, -1, axis=0)) @ normal
+        every = np.cross(along[:, None], corners[None] - corners[:, None]) @ normal  # (n, n) left of each side
+        if not (turns > _SMALLEST_AREA).all() or every.min() < -_FLAT:
+            allowed = "a convex polygon, each corner turning left as seen from outside; divide others into several"
+            raise scenario.error(where, spec.corners, allowed)
+        rock = spec.build().solid
+        for hold, held in enumerate(scenario.wall.holds):
+            position = [*held.position, 0.0][:3]
+            if float(rock.distance(np.array(position))) == 0.0:
+                allowed = f"a place in front of the wall; this is in the rock of wall.facets[{number}]"
+                raise scenario.error(f"wall.holds[{hold}].position", held.position, allowed)
 
 
 def _check_names(scenario: Scenario) -> None:
@@ -201,10 +267,7 @@ def _check_avoid(scenario: Scenario, number: int) -> None:
     for place, region in enumerate(robot.avoid.regions):
         _check_region(scenario, region, f"{path}.avoid.regions[{place}]")
     demanded = {hold: join(f"{path}.start", limb) for limb, hold in robot.start.items()}
-    for where, target in [
-        (f"{path}.goal", robot.goal),
-        *((f"{path}.waypoints[{visited}]", waypoint) for visited, waypoint in enumerate(robot.waypoints)),
-    ]:
+    for where, target in _places(robot, path):
         demanded |= {hold: field for field, hold in _demands(target, where)}
     for place, hold in enumerate(robot.avoid.holds):
         where = f"{path}.avoid.holds[{place}]"

@@ -56,13 +56,16 @@ class Contact:
     Attributes:
         limb: Index of the limb in the robot's limb order.
         hold: Number of the hold on the wall.
-        offset: Signed distance of the foot from the patch's centre along the patch [m]. The centre leaves the
+        offset: Signed distance of the foot from the patch's centre along the patch's tangent [m]. The centre leaves the
             most room for error and is where a foot lands unless only another point of the patch will do.
+        across: Signed distance along the other direction of the patch, out of the wall plane on a planar wall [m].
+            Feet of planar robots have none.
     """
 
     limb: int
     hold: int
     offset: float = 0.0
+    across: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ def _robot(scenario: Scenario, number: int, plan: RobotPlan, wall: Wall, source:
     if not (robot.planar and Tree(robot).is_planar()):
         raise ModelError(f"{robot.model.path}: verify checks robots that move in the wall plane; this one leaves it")
     try:
-        check_against_robot(scenario, number, robot.limb_names, robot.joint_limits)
+        check_against_robot(scenario, number, robot.limb_names, robot.joint_limits, robot.planar)
     except ScenarioError as error:
         raise PlanFileError(str(error)) from error
     if plan.limbs != robot.limb_names:

@@ -27,6 +27,7 @@ from climber.scenario import (
     load_scenario,
     scenario_from_text,
 )
+from climber.solids import Box, Convex, Cylinder, Sphere
 from climber.yaml_tree import read_tree
 
 MODEL = "package://climber/quadruped/quadruped.urdf"
@@ -139,6 +140,30 @@ def test_normals_are_normalised_and_positions_completed() -> None:
     np.testing.assert_allclose(wall.positions[:2], [[0.0, 0.0, 0.0], [0.1, 0.0, 0.02]])
 
 
+def test_regions_of_space_are_solids_and_those_of_the_plane_are_not() -> None:
+    solids = [
+        {"sphere": {"center": [0.0, 1.0, 2.0], "radius": 0.5}},
+        {"box": {"center": [0.0, 0.0, 1.0], "size": [1.0, 2.0, 3.0], "rpy_deg": [0.0, 0.0, 90.0]}},
+        {"cylinder": {"center": [0.0, 0.0, 1.0], "axis": [0.0, 3.0, 4.0], "radius": 0.5, "length": 1.0}},
+        {"convex": {"vertices": [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 2.0]]}},
+    ]
+    tree = edited(("wall", "obstacles"), [*BASE["wall"]["obstacles"], *solids])
+    scenario = load(tree)
+    wall = scenario.build_wall()
+    assert len(wall.obstacles) == 2
+    ball, box, cylinder, convex = wall.solids
+    assert ball == Sphere((0.0, 1.0, 2.0), 0.5)
+    assert isinstance(box, Box)
+    np.testing.assert_allclose(box.extremes, [[-1.0, -0.5, -0.5], [1.0, 0.5, 2.5]], atol=1e-12)
+    assert isinstance(cylinder, Cylinder)
+    assert cylinder.axis == (0.0, 0.6, 0.8)
+    assert convex == Convex(((0.0, 0.0, 1.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (0.0, 0.0, 2.0)))
+    for region, solid in zip(scenario.wall.obstacles[2:], wall.solids, strict=True):
+        assert region.inside() == solid
+        assert region.distance(3.0, 0.0, 1.0) == pytest.approx(float(solid.distance(np.array([3.0, 0.0, 1.0]))))
+    assert scenario.wall.obstacles[0].distance(1.0, 3.0, 5.0) == pytest.approx(1.9)  # z is no matter
+
+
 def test_limbs_keep_the_order_of_the_file() -> None:
     assert list(load(BASE).robots[0].start) == list(LIMBS)
 
@@ -230,6 +255,11 @@ ROBOT: tuple[str | int, ...] = ("robots", 0)
 HOLD: tuple[str | int, ...] = ("wall", "holds", 3)
 NAN, INF = float("nan"), float("inf")
 BOW = [[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]]
+SOLID: tuple[str | int, ...] = ("wall", "obstacles", 0)
+FIRST = "wall.obstacles[0]"
+FACETS: tuple[str | int, ...] = ("wall", "facets")
+CORNERS = "wall.facets[0].corners"
+SLAB = [[-9.0, -9.0, -1.0], [9.0, -9.0, -1.0], [9.0, 9.0, -1.0], [-9.0, 9.0, -1.0]]  # behind everything
 POLYGON: tuple[str | int, ...] = ("wall", "obstacles", 1, "polygon", "vertices")
 
 REFUSED: dict[str, tuple[tuple[str | int, ...], object, str, str]] = {
@@ -238,7 +268,7 @@ REFUSED: dict[str, tuple[tuple[str | int, ...], object, str, str]] = {
     "unknown field of a hold": ((*HOLD, "frictoin"), 0.5, "wall.holds[3].frictoin", "did you mean friction?"),
     "unknown field far from any": ((*HOLD, "zzzz"), 0.5, "wall.holds[3].zzzz", "position, normal, half_width"),
     "unknown field of the budget": (("budget",), {"time_limit": 3}, "budget.time_limit", "time_limit_s"),
-    "unknown field of a region": ((*ROBOT, "goal", "pelvis"), {"box": 1}, "robots[0].goal.pelvis.box", "circle"),
+    "unknown field of a region": ((*ROBOT, "goal", "pelvis"), {"disk": 1}, "robots[0].goal.pelvis.disk", "circle"),
     "field that holds only the result": (("source",), "x", "source", "no field of this name"),
     "no wall": (("wall",), GONE, "wall", "must be given"),
     "no robots": (("robots",), GONE, "robots", "must be given"),
@@ -344,6 +374,44 @@ REFUSED: dict[str, tuple[tuple[str | int, ...], object, str, str]] = {
         "does not meet itself",
     ),
     "sliver": (POLYGON, [[0.0, 0.0], [1.0, 0.0], [0.5, 1e-13]], "wall.obstacles[1].polygon.vertices", "an area"),
+    "a solid and a circle": (
+        ("wall", "obstacles", 0, "sphere"),
+        {"center": [0.0, 0.0, 0.0], "radius": 1.0},
+        "wall.obstacles[0]",
+        "one of circle",
+    ),
+    "a flat center": (SOLID, {"sphere": {"center": [0.0, 0.0], "radius": 1.0}}, f"{FIRST}.sphere.center", "3 numbers"),
+    "a flat box": (SOLID, {"box": {"center": [0.0] * 3, "size": [1.0, 0.0, 1.0]}}, f"{FIRST}.box.size[1]", "> 0"),
+    "no axis": (
+        SOLID,
+        {"cylinder": {"center": [0.0] * 3, "axis": [0.0] * 3, "radius": 1.0, "length": 1.0}},
+        f"{FIRST}.cylinder.axis",
+        "not zero",
+    ),
+    "points in a plane": (
+        SOLID,
+        {"convex": {"vertices": [[0.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 1.0, 1.0]]}},
+        f"{FIRST}.convex.vertices",
+        "not all in one plane",
+    ),
+    # facets
+    "two corners": (FACETS, [{"corners": SLAB[:2]}], CORNERS, "at least three"),
+    "corners off a plane": (FACETS, [{"corners": [*SLAB[:3], [-9.0, 9.0, -0.9]]}], CORNERS, "0.0"),
+    "corners on a line": (
+        FACETS,
+        [{"corners": [[0.0, 0.0, -1.0], [1.0, 0.0, -1.0], [2.0, 0.0, -1.0]]}],
+        CORNERS,
+        "left",
+    ),
+    "a facet with a dent": (FACETS, [{"corners": [*SLAB[:3], [0.0, 0.0, -1.0]]}], CORNERS, "convex"),
+    "a facet with crossing sides": (FACETS, [{"corners": [SLAB[0], SLAB[1], SLAB[3], SLAB[2]]}], CORNERS, "convex"),
+    "no rock": (FACETS, [{"corners": SLAB, "thickness": 0.0}], "wall.facets[0].thickness", "> 0"),
+    "a hold in the rock": (
+        FACETS,
+        [{"corners": [[x, y, 0.01] for x, y, _ in SLAB]}],
+        "wall.holds[0].position",
+        "wall.facets[0]",
+    ),
     # empty
     "no holds in the list": (("wall", "holds"), [], "wall.holds", "not empty"),
     "no robots in the list": (("robots",), [], "robots", "not empty"),
@@ -538,6 +606,27 @@ def against_robot(tree: object) -> ScenarioError:
 
 def test_a_scenario_that_fits_its_robot_passes() -> None:
     check_against_robot(load(BASE), 0, LIMBS, LIMITS)
+
+
+def test_a_planar_robot_has_nothing_to_do_with_regions_of_space() -> None:
+    ball = {"sphere": {"center": [0.2, 0.1, 0.0], "radius": 0.05}}
+    for path, field in (
+        (("wall", "obstacles", 1), "wall.obstacles[1]"),
+        ((*ROBOT, "goal", "pelvis"), "robots[0].goal.pelvis"),
+        ((*ROBOT, "waypoints", 0, "pelvis"), "robots[0].waypoints[0].pelvis"),
+        ((*ROBOT, "avoid", "regions", 0), "robots[0].avoid.regions[0]"),
+    ):
+        error = against_robot(edited(path, ball))
+        assert error.path == field
+        assert "given 'sphere'; allowed: circle or polygon, for quadruped" in str(error)
+        check_against_robot(load(edited(path, ball)), 0, LIMBS, LIMITS, planar=False)
+
+
+def test_a_planar_robot_moves_in_front_of_every_facet() -> None:
+    behind, before = edited(FACETS, [{"corners": SLAB}]), [[5.0, 5.0, -1.0], [6.0, 5.0, 0.5], [5.0, 6.0, 0.5]]
+    check_against_robot(load(behind), 0, LIMBS, LIMITS)
+    error = against_robot(edited(FACETS, [{"corners": SLAB}, {"corners": before}]))
+    assert error.path == "wall.facets[1].corners"
 
 
 @pytest.mark.parametrize(
