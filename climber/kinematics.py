@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.tree import RevoluteJoint, RigidBody
 from pydrake.systems.framework import Context
 
+from climber import floating
 from climber.exceptions import ModelError
 from climber.robot import Robot
 from climber.stance import Vector
@@ -111,12 +113,15 @@ class Kinematics:
         upper: Upper limits, likewise.
 
     Raises:
-        ModelError: If the pelvis is not planar, a foot not in its plane, or something moves that is not pelvis or limb.
+        ModelError: If the pelvis neither floats nor is planar, a planar robot's foot is not in its plane, or something
+            moves that is not pelvis or limb.
     """
 
     def __init__(self, robot: Robot) -> None:
-        if not robot.planar:
-            raise ModelError(f"{robot.model.path}: the pelvis must hang from the world by a planar joint about z")
+        if not (robot.planar or robot.floating):
+            raise ModelError(
+                f"{robot.model.path}: the pelvis must float, or hang from the world by a planar joint about z"
+            )
         self.robot = robot
         plant = robot.plant
         context = plant.CreateDefaultContext()
@@ -136,7 +141,7 @@ class Kinematics:
             )
         heights = self.feet(np.zeros((1, plant.num_positions())))[0, :, 2]
         for limb, height in zip(robot.limbs, heights, strict=True):
-            if abs(height) > 1e-6:
+            if robot.planar and abs(height) > 1e-6:
                 raise ModelError(f"{robot.model.path}: {limb.foot!r} is {height:.3g} m off the plane that holds lie in")
         limits = [limb.one_turn for limb in robot.limbs]
         self.lower = np.concatenate([lower for lower, _ in limits])
@@ -176,7 +181,9 @@ class Kinematics:
         return LimbChain(tuple(steps), end, np.array([m for m, _ in masses]), np.array([c for _, c in masses]))
 
     def pelvis(self, base: Vector) -> Pose:
-        """Poses of the pelvis for base positions (x, y, angle) [m, rad], shape (K, 3)."""
+        """Poses of the pelvis for base positions in the plant's order [m, rad], shape (K, 3), or (K, 6) in space."""
+        if self.robot.floating:
+            return Pose(floating.rotation(base), base[:, list(floating.ORIGIN)])
         sin, cos = np.sin(base[:, 2]), np.cos(base[:, 2])
         rotation = np.zeros((len(base), 3, 3))
         rotation[:, 0, 0] = rotation[:, 1, 1] = cos
@@ -205,21 +212,36 @@ class Kinematics:
             axis=1,
         )
 
-    def foot_jacobians(self, q: Vector, limbs: Sequence[int]) -> Vector:
-        """Jacobians of the feet of `limbs` in W by the plant's velocities, shape (K, len(limbs), 2, nv).
+    @cached_property
+    def _base_axes(self) -> tuple[list[tuple[Vector, int]], list[tuple[Vector, int]]]:
+        """Axes in W that the base's velocities move the pelvis along, and those they turn it about, with their places.
 
-        The rows are x and y: out of the plane a planar robot's feet do not move.
+        These are the velocities of Drake's joints: x, y and the angle, or angular and linear velocity in F.
+        """
+        places = self.robot.base_v.tolist()
+        if self.robot.floating:
+            axes = list(floating.R_WF.T)
+            return list(zip(axes, places[3:], strict=True)), list(zip(axes, places[:3], strict=True))
+        x, y, z = np.eye(3)
+        return [(x, places[0]), (y, places[1])], [(z, places[2])]
+
+    def foot_jacobians(self, q: Vector, limbs: Sequence[int]) -> Vector:
+        """Jacobians of the feet of `limbs` in W by the plant's velocities, shape (K, len(limbs), dimension, nv).
+
+        The rows are x and y and, in space, z: out of the plane a planar robot's feet do not move.
         """
         robot = self.robot
         pelvis = self.pelvis(q[:, robot.base_q])
-        result = np.zeros((len(q), len(limbs), 2, robot.plant.num_velocities()))
+        result = np.zeros((len(q), len(limbs), robot.dimension, robot.plant.num_velocities()))
+        slides, turns = self._base_axes
         for row, i in enumerate(limbs):
             limb, chain = robot.limbs[i], self.chains[i]
             links = chain.links(pelvis, q[:, limb.q])
             foot = chain.foot_position(pelvis, links)
-            result[:, row, 0, robot.base_v[0]] = result[:, row, 1, robot.base_v[1]] = 1.0
+            for axis, column in slides:
+                result[:, row, :, column] = axis[: robot.dimension]
             for pose, axis, column in [
-                (pelvis, np.array([0.0, 0.0, 1.0]), robot.base_v[2]),
+                *((pelvis, axis, column) for axis, column in turns),
                 *(
                     (link, parent.rotation @ step.axis, v)
                     for link, parent, step, v in zip(links, [pelvis, *links], chain.steps, limb.v, strict=False)
@@ -228,6 +250,8 @@ class Kinematics:
                 arm, axis = (foot - pose.origin).T, np.atleast_2d(axis).T
                 result[:, row, 0, column] = axis[1] * arm[2] - axis[2] * arm[1]
                 result[:, row, 1, column] = axis[2] * arm[0] - axis[0] * arm[2]
+                if robot.floating:
+                    result[:, row, 2, column] = axis[0] * arm[1] - axis[1] * arm[0]
         return result
 
     def center_of_mass(self, q: Vector, poses: list[Pose] | None = None) -> Vector:

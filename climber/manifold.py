@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from climber.clearance import Clearance
 from climber.dynamics import turning
-from climber.inverse import TwoLinkInverse
+from climber.inverse import limb_inverse
 from climber.kinematics import Kinematics, Pose
 from climber.newton import NewtonChart
 from climber.robot import Indices, Robot
@@ -55,7 +55,8 @@ class Body:
         wall: The wall.
         kinematics: Its kinematics.
         clearance: Its clearance.
-        inverse: The inverse kinematics of each limb; None for a limb with fewer than two joints, which has none.
+        inverse: The inverse kinematics of each limb; None for one that has none in closed form, such as one of a single
+            joint.
     """
 
     def __init__(self, robot: Robot, wall: Wall) -> None:
@@ -63,7 +64,7 @@ class Body:
         self.kinematics = Kinematics(robot)
         self.clearance = Clearance(self.kinematics, wall.obstacles)
         self.inverse = tuple(
-            TwoLinkInverse(limb, chain) if len(limb.q) > 1 else None
+            limb_inverse(robot.planar, limb, chain)
             for limb, chain in zip(robot.limbs, self.kinematics.chains, strict=True)
         )
 
@@ -214,7 +215,7 @@ class Chart:
             assert inverse is not None  # a chart without is not made
             solved, within = inverse.solve(pelvis, q[:, limb.q[: inverse.leading]], self.points[i])
             q[:, limb.q] = solved[:, self.branches[i]]
-            slack = np.minimum(slack, within)
+            slack = np.minimum(slack, within[:, self.branches[i]])
         return q, slack
 
 

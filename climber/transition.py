@@ -198,9 +198,9 @@ class PostureSampler:
             if i in self.manifold.points:
                 solved, reach = inverse.solve(pelvis, leading, self.manifold.points[i])
             else:
-                solved, reach = leading[:, None, :], np.full(len(base), np.inf)
+                solved, reach = leading[:, None, :], np.full((len(base), 1), np.inf)
             inside = np.minimum(solved - lower, upper - solved).min(axis=2) >= self.manifold.margins.joint
-            fits.append(inside & (reach >= self.manifold.margins.reach)[:, None])
+            fits.append(inside & (reach >= self.manifold.margins.reach))
             angles.append(solved)
             moments.append(
                 np.stack([chain.moment(chain.links(pelvis, branch))[:, 0] for branch in solved.swapaxes(0, 1)], axis=1)

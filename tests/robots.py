@@ -23,8 +23,11 @@ MODELS = {
     "long_limbed": str(FOLDER / "long_limbed.urdf"),
 }
 every_model = pytest.mark.parametrize("model", MODELS)
-# Limbs of one joint, and of none: kinematics like any other, but no inverse kinematics.
-EVERYTHING = MODELS | {"double_link": "package://climber/double_link/double_link.urdf"}
+# Limbs of one joint, and of none: kinematics like any other, but no inverse kinematics. And a robot in space.
+EVERYTHING = MODELS | {
+    "double_link": "package://climber/double_link/double_link.urdf",
+    "lemur": "package://climber/lemur/lemur.urdf",
+}
 every_robot = pytest.mark.parametrize("model", EVERYTHING)
 
 
@@ -50,7 +53,10 @@ def configurations(model: str, rng: np.random.Generator, count: int) -> Vector:
     """Configurations anywhere within a metre, joints within their limits, shape (count, nq)."""
     machine = robot(model)
     q = np.zeros((count, machine.plant.num_positions()))
-    q[:, machine.base_q] = rng.uniform([-1, -1, -np.pi], [1, 1, np.pi], (count, 3))
+    q[:, machine.origin_q] = rng.uniform(-1, 1, (count, machine.dimension))
+    # The attitude of a robot in space is singular where its second angle is a right angle.
+    most = [np.pi, 1.4, np.pi][: len(machine.angle_q)]
+    q[:, machine.angle_q] = rng.uniform(np.negative(most), most, (count, len(most)))
     for limb in machine.limbs:
         lower, upper = limb.one_turn
         q[:, limb.q] = rng.uniform(lower, upper, (count, len(limb.q)))

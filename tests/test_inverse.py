@@ -25,7 +25,7 @@ every_limb = pytest.mark.parametrize(
 
 def limb_of(model: str, number: int) -> tuple[Limb, LimbChain, TwoLinkInverse]:
     inverse = body(model).inverse[number]
-    assert inverse is not None
+    assert isinstance(inverse, TwoLinkInverse)
     return robot(model).limbs[number], kinematics(model).chains[number], inverse
 
 
@@ -61,13 +61,13 @@ def test_every_branch_puts_the_foot_on_a_point_in_reach(model: str, number: int,
     leading = joints[:, : inverse.leading]
     q, slack = inverse.solve(pelvis, leading, target)
     assert q.shape == (1, inverse.branches, len(limb.q)) and inverse.branches == 2
-    assert slack[0] >= -1e-12
+    assert slack.shape == (1, 2) and slack.min() >= -1e-12
     for branch in range(2):
         assert feet(chain, pelvis, q[:, branch])[0] == pytest.approx(target, abs=1e-12)
         assert np.array_equal(q[:, branch, : inverse.leading], leading)
     # The joints we started from are one of the two, up to whole turns.
     off = np.abs(angle_between(q[0], joints)).max(axis=1)
-    near_straight = slack[0] < 1e-6
+    near_straight = slack[0, 0] < 1e-6
     assert off.min() < (1e-3 if near_straight else 1e-6)
     if not near_straight:
         assert int(off.argmin()) == inverse.branch(joints[0])
@@ -83,11 +83,11 @@ def test_branch_of_a_solution_is_the_branch_it_was_found_on(model: str, number: 
     near, far = inverse.extent
     target = base_joint(chain, pelvis, leading, inverse)[0] + rng.uniform(near, far) * np.array([0.6, -0.8, 0.0])
     q, slack = inverse.solve(pelvis, leading, target)
-    for k in np.flatnonzero(slack > 1e-9):
+    for k in np.flatnonzero(slack[:, 0] > 1e-9):
         assert [inverse.branch(q[k, branch]) for branch in range(2)] == [0, 1]
         turns = rng.integers(-2, 3, len(limb.q)) * 2 * np.pi
         assert [inverse.branch(q[k, branch] + turns) for branch in range(2)] == [0, 1]
-    assert slack[0] > 0 or near == far
+    assert slack[0, 0] > 0 or near == far
 
 
 @every_limb
@@ -113,7 +113,11 @@ def test_slack_is_how_far_the_point_is_inside_the_ring_that_the_limb_reaches(mod
     q, slack = inverse.solve(pelvis, leading, target)
     distance = np.linalg.norm(base_joint(chain, pelvis, leading, inverse) - target, axis=1)
     near, far = inverse.extent
+    assert np.array_equal(slack[:, 0], slack[:, 1])
+    slack = slack[:, 0]
     assert slack == pytest.approx(np.minimum(far - distance, distance - near), abs=1e-12)
+    carrier = chain.links(pelvis, leading)[-1] if inverse.leading else pelvis
+    assert inverse.room(carrier, target, 0).min(axis=1) == pytest.approx(slack, abs=1e-12)
     # Where it is negative the foot misses by just so much: the limb points at the target, or away from it.
     for branch in range(2):
         miss = np.linalg.norm(feet(chain, pelvis, q[:, branch]) - target, axis=1)
@@ -190,4 +194,4 @@ def test_limb_that_is_not_planar_or_has_no_length_is_refused(tmp_path: Path, old
 def test_no_poses_give_no_solutions() -> None:
     _, _, inverse = limb_of("long_limbed", 0)
     q, slack = inverse.solve(kinematics("long_limbed").pelvis(np.zeros((0, 3))), np.zeros((0, 1)), np.zeros(3))
-    assert q.shape == (0, 2, 3) and slack.shape == (0,)
+    assert q.shape == (0, 2, 3) and slack.shape == (0, 2)

@@ -106,7 +106,7 @@ def test_reach_is_the_least_of_the_limbs_that_follow(model: str) -> None:
     for i, point in here.manifold.points.items():
         inverse, limb = here.body.inverse[i], here.body.robot.limbs[i]
         assert inverse is not None
-        slack.append(inverse.solve(pelvis, q[:, limb.q[: inverse.leading]], point)[1])
+        slack.append(inverse.solve(pelvis, q[:, limb.q[: inverse.leading]], point)[1][:, 0])
     assert reach == pytest.approx(np.min(slack, axis=0), abs=1e-12)
 
 

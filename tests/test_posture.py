@@ -12,7 +12,7 @@ from problems import thesis_wall
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
 from climber.manifold import Body, Manifold
-from climber.programs.posture import PostureProgram, distance, elbow_range, improve_posture
+from climber.programs.posture import PostureProgram, distance, improve_posture
 from climber.robot import Robot
 from climber.stance import Contact, Vector
 from climber.transition import Postures, find_transition, support_interval
@@ -155,12 +155,13 @@ def test_program_used_again_answers_as_a_new_one_does(postures: Postures) -> Non
 def test_bend_is_in_its_range_exactly_if_the_limb_is_on_its_branch_and_within_reach(
     limb: int, branch: int, bend: float, margin: float
 ) -> None:
-    low, high = elbow_range(BODY, limb, branch, margin)
+    joint, low, high = BODY.inverse[limb].bend(branch, margin)
+    assert joint == 1
     q = np.zeros((1, BODY.robot.plant.num_positions()))
     q[0, BODY.robot.limbs[limb].q[-1]] = bend
     pelvis = BODY.kinematics.pelvis(q[:, BODY.robot.base_q])
     foot = BODY.kinematics.feet(q)[0, limb]
     _, reach = BODY.inverse[limb].solve(pelvis, np.zeros((1, 0)), foot)
-    inside = reach[0] >= margin and BODY.branches(q[0])[limb] == branch
+    inside = reach[0, 0] >= margin and BODY.branches(q[0])[limb] == branch
     if min(abs(bend - low), abs(bend - high)) > 1e-6:
         assert (low <= bend <= high) == inside

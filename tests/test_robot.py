@@ -85,16 +85,18 @@ def test_limits_and_places_of_joints_are_those_of_the_plant(model: str) -> None:
 @every_robot
 def test_positions_and_velocities_stand_in_the_same_order_with_the_pelvis_first_in_its_frame(model: str) -> None:
     machine = robot(model)
-    assert machine.planar
-    assert np.array_equal(machine.base_q, machine.base_v) and len(machine.base_q) == 3
+    assert np.array_equal(machine.base_q, machine.base_v) and np.array_equal(machine.base_q, range(len(machine.base_q)))
+    assert sorted([*machine.origin_q, *machine.angle_q]) == machine.base_q.tolist()
     assert all(np.array_equal(limb.q, limb.v) for limb in machine.limbs)
     context, rng = machine.context(), np.random.default_rng(0)
     q = rng.uniform(-1, 1, machine.plant.num_positions())
     machine.plant.SetPositions(context, q)
     pose = machine.pelvis.EvalPoseInWorld(context)
-    x, y, angle = q[machine.base_q]
-    assert pose.translation() == pytest.approx([x, y, 0.0], abs=1e-15)
-    assert pose.rotation().ToRollPitchYaw().vector() == pytest.approx([0.0, 0.0, angle], abs=1e-15)
+    assert pose.translation()[: machine.dimension] == pytest.approx(q[machine.origin_q], abs=1e-15)
+    if machine.planar:
+        assert pose.translation()[2] == 0.0
+        (angle,) = q[machine.angle_q]
+        assert pose.rotation().ToRollPitchYaw().vector() == pytest.approx([0.0, 0.0, angle], abs=1e-15)
 
 
 @every_robot
@@ -186,7 +188,7 @@ def test_turning_the_pelvis_and_handing_joint_angles_on_leaves_feet_and_centre_o
             machine.plant.SetPositions(context, q)
             feet, center = machine.foot_positions(context), machine.center_of_mass(context)
             handed = q.copy()
-            handed[machine.base_q[2]] -= turn
+            handed[machine.angle_q[0]] -= turn  # in space the spin, which comes first
             for limb, other in zip(machine.limbs, permutation, strict=True):
                 handed[machine.limbs[other].q] = q[limb.q]
             machine.plant.SetPositions(context, handed)

@@ -13,6 +13,7 @@ import shapely
 from numpy.typing import NDArray
 
 from climber.clearance import segment_distance
+from climber.inverse import LimbInverse
 from climber.kinematics import Pose
 from climber.manifold import AnyChart, Manifold
 from climber.stance import Vector
@@ -73,21 +74,15 @@ class Conditions:
         body, clearance = manifold.body, manifold.body.clearance
         kinematics = body.kinematics
         self._tied = sorted(chart.solved)
-        # The link that carries the first joint that inverse kinematics solves for, and that joint's place in it.
+        # The inverse kinematics of each holding limb, and the link that carries the first joint that it solves for.
         first = 1 + np.cumsum([0] + [len(chain.steps) for chain in kinematics.chains])
-        self._carriers: list[tuple[int, Vector]] = []
-        extents = []
+        self._inverse: list[tuple[LimbInverse, int]] = []
         for i in self._tied:
             inverse = body.inverse[i]
             assert inverse is not None  # as a chart solves for the limb
-            leading = inverse.leading
-            extents.append(inverse.extent)
-            origin = kinematics.chains[i].steps[leading].origin
-            self._carriers.append((int(first[i]) + leading - 1 if leading else 0, origin))
-        self._extent = np.array(extents).reshape(-1, 2)
+            self._inverse.append((inverse, int(first[i]) + inverse.leading - 1 if inverse.leading else 0))
         # Without weight the centre of mass may be anywhere; differences of infinities are no numbers.
         self._balanced = tuple(np.clip(manifold.balanced, -ANYWHERE, ANYWHERE))
-        self._targets = np.array([chart.points[i][:2] for i in self._tied]).reshape(-1, 2)
         self._a, self._b = clearance.one, clearance.two
         self._link = np.repeat(np.arange(len(kinematics.links)), np.diff(clearance.first))
         number = {pair: k for k, pair in enumerate(clearance.pairs)}
@@ -95,18 +90,19 @@ class Conditions:
         self._pair: NDArray[np.int64] = np.array([number[pair] for pair in links], dtype=np.int64)
         self._obstacles = shapely.union_all(body.wall.obstacles) if body.wall.obstacles else None
         joints, limbs = body.robot.joint_names, [body.robot.limbs[i].name for i in self._tied]
+        rooms = [inverse.room_names for inverse, _ in self._inverse]
+        reaches = [f"{limb} {what}" for limb, names in zip(limbs, rooms, strict=True) for what in names]
         self.names: tuple[str, ...] = (
             *(f"{joint} above its lower limit" for joint in joints),
             *(f"{joint} below its upper limit" for joint in joints),
             "centre of mass right of the support interval's lower end",
             "centre of mass left of the support interval's upper end",
-            *(f"{limb} not folded too far" for limb in limbs),
-            *(f"{limb} not stretched too far" for limb in limbs),
+            *reaches,
             *(f"{kinematics.links[i]} clear of {kinematics.links[j]}" for i, j in clearance.pairs),
             *(f"{link} clear of obstacles" for link in kinematics.links),
         )
         self._outside = len(self.names) - len(kinematics.links)  # where those about obstacles begin
-        self._smooth = 2 * len(joints) + 2 + 2 * len(limbs)  # how many of them are not distances between shapes
+        self._smooth = 2 * len(joints) + 2 + len(reaches)  # how many of them are not distances between shapes
 
     def _joints_balance_reach(self, q: Vector, poses: list[Pose]) -> Vector:
         """The conditions other than distances between shapes, shape (K, _smooth)."""
@@ -114,16 +110,18 @@ class Conditions:
         joints = q[:, kinematics.joint_q]
         abscissa = kinematics.center_of_mass(q, poses)[:, :1]
         lower, upper = self._balanced
-        hips = [poses[link].point(origin)[:, :2] for link, origin in self._carriers]
-        gap = np.linalg.norm(np.stack(hips, axis=1) - self._targets, axis=2) if hips else np.zeros((len(q), 0))
+        chart = self.chart
+        rooms = [
+            inverse.room(poses[link], chart.points[i], chart.branches[i]) - margins.reach
+            for i, (inverse, link) in zip(self._tied, self._inverse, strict=True)
+        ]
         return np.concatenate(
             [
                 joints - (kinematics.lower + margins.joint),
                 (kinematics.upper - margins.joint) - joints,
                 abscissa - lower,
                 upper - abscissa,
-                gap - (self._extent[:, 0] + margins.reach),
-                (self._extent[:, 1] - margins.reach) - gap,
+                *rooms,
             ],
             axis=1,
         )

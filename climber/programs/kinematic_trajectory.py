@@ -15,7 +15,6 @@ from scipy.interpolate import BSpline
 
 from climber.curve import DEGREE, Curve, clamped_knots, greville
 from climber.manifold import AnyChart, Manifold
-from climber.programs.posture import elbow_range
 from climber.stance import Vector
 
 
@@ -101,8 +100,10 @@ class KinematicTrajectoryProgram:
         for i, limb in enumerate(body.robot.limbs):
             lower[limb.q], upper[limb.q] = limb.lower + margins.joint, limb.upper - margins.joint
             if i in self.chart.points and i != self.chart.root:
-                near, far = elbow_range(body, i, self.chart.branches[i], margins.reach)
-                elbow = limb.q[-1]
+                inverse = body.inverse[i]
+                assert inverse is not None  # as a chart solves for the limb
+                joint, near, far = inverse.bend(self.chart.branches[i], margins.reach)
+                elbow = limb.q[joint]
                 lower[elbow], upper[elbow] = max(lower[elbow], near), min(upper[elbow], far)
         # Rounding must not put the given ends a hair outside.
         lower, upper = np.minimum(lower, np.min(ends, axis=0)), np.maximum(upper, np.max(ends, axis=0))

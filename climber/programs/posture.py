@@ -14,7 +14,6 @@ import numpy as np
 from pydrake.multibody.inverse_kinematics import ComPositionConstraint, InverseKinematics
 from pydrake.solvers import SnoptSolver, SolverOptions
 
-from climber.kinematics import Pose
 from climber.manifold import Body, Manifold
 from climber.stance import Vector
 
@@ -45,30 +44,11 @@ def distance(q: Vector, targets: Sequence[Target]) -> Vector:
     return result
 
 
-def elbow_range(body: Body, limb: int, branch: int, margin: float) -> tuple[float, float]:
-    """Between which angles the last joint of a holding limb stays on its branch, `margin` [m] within reach [rad].
-
-    A limb's reach depends on nothing but the bend of its last joint, so the inverse kinematics of a foot at the nearest
-    and at the farthest allowed distance from the joint before gives both ends.
-    """
-    inverse, chain = body.inverse[limb], body.kinematics.chains[limb]
-    assert inverse is not None
-    leading = np.zeros((1, inverse.leading))
-    origin = Pose(np.eye(3)[None], np.zeros((1, 3)))
-    parent = chain.links(origin, leading)[-1] if inverse.leading else origin
-    joint = parent.point(chain.steps[inverse.leading].origin)[0]
-    ends = []
-    for reach in (inverse.extent[0] + margin, inverse.extent[1] - margin):
-        angles, _ = inverse.solve(origin, leading, joint + np.array([reach, 0.0, 0.0]))
-        ends.append(float(angles[0, branch, -1]))
-    return min(ends), max(ends)
-
-
 class PostureProgram:
     """The posture on one set of contacts that is nearest to some targets.
 
     With q the positions of the plant [m, rad], p_WF_i(q) the foot of limb i and p_WC_i its contact [m], c_x(q) the
-    abscissa of the centre of mass [m], q_i the joints of limb i and e_i its last one [rad], and (w_k, q_k) the
+    abscissa of the centre of mass [m], q_i the joints of limb i and e_i the one that bends [rad], and (w_k, q_k) the
     targets:
 
         min   sum_k w_k |q - q_k|^2                                                     (1)
@@ -115,10 +95,11 @@ class PostureProgram:
                 foot, np.zeros(3), world, point - unconstrained, point + unconstrained
             )
             contact.evaluator().set_description(f"foot of {limb.name} on its hold")
-            if body.inverse[i] is None:
+            inverse = body.inverse[i]
+            if inverse is None:
                 continue
-            near, far = elbow_range(body, i, branches[i], margins.reach)
-            self.prog.AddBoundingBoxConstraint(near, far, self.q[limb.q[-1]]).evaluator().set_description(
+            joint, near, far = inverse.bend(branches[i], margins.reach)
+            self.prog.AddBoundingBoxConstraint(near, far, self.q[limb.q[joint]]).evaluator().set_description(
                 f"bend of {limb.name}"
             )
         center = self.prog.NewContinuousVariables(3, "c")
