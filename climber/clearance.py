@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pydrake.geometry import Box, Capsule, Convex, Cylinder, Mesh, SceneGraph, SceneGraphInspector, Shape, Sphere
+from pydrake.geometry import Box, Capsule, Convex, Cylinder, Mesh, SceneGraph, Shape, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from shapely.geometry.base import BaseGeometry
@@ -22,8 +22,8 @@ from climber.exceptions import ModelError
 from climber.kinematics import Kinematics, Pose
 from climber.stance import Vector
 
-# Collision geometries of a link's bodies, by the body's index, with their poses in the link's frame.
-Bodies = dict[int, list[tuple[object, RigidTransform]]]
+# Collision shapes of a link's bodies, by the body's index, with their poses in the link's frame.
+Bodies = dict[int, list[tuple[Shape, RigidTransform]]]
 
 
 @dataclass(frozen=True)
@@ -70,14 +70,14 @@ def _flat(shape: Shape, pose: RigidTransform, what: str) -> tuple[list[tuple[Vec
     raise ModelError(f"{what}: no planar outline is known for the collision shape {type(shape).__name__}")
 
 
-def _outline(inspector: SceneGraphInspector, bodies: Bodies, what: str) -> Outline:
+def _outline(bodies: Bodies, what: str) -> Outline:
     """The outline of a link."""
     segments: list[tuple[Vector, Vector, float, int]] = []
     rings = []
     for body, geometries in bodies.items():
         polygons = []
-        for geometry, pose in geometries:
-            thick, corners = _flat(inspector.GetShape(geometry), pose, what)
+        for shape, pose in geometries:
+            thick, corners = _flat(shape, pose, what)
             segments += [(start, end, radius, body) for start, end, radius in thick]
             if corners is not None:
                 polygons.append(shapely.MultiPoint(corners[:, :2]).convex_hull)
@@ -97,8 +97,8 @@ def _outline(inspector: SceneGraphInspector, bodies: Bodies, what: str) -> Outli
     )
 
 
-def outlines(kinematics: Kinematics) -> tuple[list[Outline], set[tuple[int, int]]]:
-    """Each moving link's outline, and the pairs of bodies, both ways round, that the model does not filter."""
+def link_shapes(kinematics: Kinematics) -> tuple[list[Bodies], set[tuple[int, int]]]:
+    """Each moving link's collision shapes, and the pairs of bodies, both ways round, that the model does not filter."""
     robot = kinematics.robot
     plant, scene_graph = MultibodyPlant(0.0), SceneGraph()
     plant.RegisterAsSourceForSceneGraph(scene_graph)
@@ -109,19 +109,27 @@ def outlines(kinematics: Kinematics) -> tuple[list[Outline], set[tuple[int, int]
     result = []
     for name in kinematics.links:
         link = plant.GetBodyByName(name)
-        bodies = {}
+        bodies: Bodies = {}
         for body in plant.GetBodiesWeldedTo(link):
             to_body = plant.CalcRelativeTransform(context, link.body_frame(), body.body_frame())
             bodies[int(body.index())] = [
-                (geometry, to_body @ inspector.GetPoseInFrame(geometry))
+                # A copy: shapes that belong to the scene graph end with it.
+                (inspector.GetShape(geometry).Clone(), to_body @ inspector.GetPoseInFrame(geometry))
                 for geometry in plant.GetCollisionGeometriesForBody(body)
             ]
-        result.append(_outline(inspector, bodies, f"{robot.model.path}: {name}"))
+        result.append(bodies)
     watched = set()
     for geometries in inspector.GetCollisionCandidates():
         i, j = (int(plant.GetBodyFromFrameId(inspector.GetFrameId(geometry)).index()) for geometry in geometries)
         watched |= {(i, j), (j, i)}
     return result, watched
+
+
+def outlines(kinematics: Kinematics) -> tuple[list[Outline], set[tuple[int, int]]]:
+    """Each moving link's outline, and the pairs of bodies, both ways round, that the model does not filter."""
+    shapes, watched = link_shapes(kinematics)
+    path = kinematics.robot.model.path
+    return [_outline(b, f"{path}: {name}") for b, name in zip(shapes, kinematics.links, strict=True)], watched
 
 
 def segment_distance(a0: Vector, a1: Vector, b0: Vector, b1: Vector) -> Vector:

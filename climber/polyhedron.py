@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 from climber.stance import Vector
 
 COPLANAR = 1e-7  # faces whose normals and heights differ by less than this are one
+ROUNDING = 1e-9  # [m]
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Polyhedron:
         )
 
     @cached_property
-    def _leaning(self) -> Vector:
+    def leaning(self) -> Vector:
         """Cosine of the angle between every two normals, shape (F, F)."""
         return self.normals @ self.normals.T
 
@@ -80,19 +81,19 @@ class Polyhedron:
         result: Vector = points @ self.normals.T - self.heights
         return result
 
-    def over_faces(self, points: Vector) -> Vector:
-        """Distance of points (..., 3) from the faces they are straight above [m]; shape (...).
+    def over_faces(self, points: Vector) -> tuple[Vector, NDArray[np.int64]]:
+        """Distance of points (..., 3) from the faces they are straight above [m], and which face; shapes (...).
 
         Infinite for points nearest to an edge or a corner, zero inside the polyhedron.
         """
         above = self.above(points)
-        # Dropped onto face f, a point is at above_g - above_f n_g . n_f above face g.
-        result = np.full(points.shape[:-1], np.inf)
+        result, face = np.full(points.shape[:-1], np.inf), np.zeros(points.shape[:-1], dtype=np.int64)
         for f in range(len(self.heights)):
-            dropped = (above - above[..., f : f + 1] * self._leaning[f]).max(axis=-1, initial=-np.inf)
-            over = (above[..., f] > 0.0) & (dropped <= 1e-9)
-            result = np.where(over, np.minimum(result, above[..., f]), result)
-        return np.where((above <= 0.0).all(axis=-1), 0.0, result)
+            # Dropped onto face f, a point is at above_g - above_f n_g . n_f above face g.
+            dropped = (above - above[..., f : f + 1] * self.leaning[f]).max(axis=-1)
+            over = (above[..., f] > 0.0) & (dropped <= ROUNDING) & (above[..., f] < result)
+            result, face = np.where(over, above[..., f], result), np.where(over, f, face)
+        return np.where((above <= 0.0).all(axis=-1), 0.0, result), face
 
     def distance(self, points: Vector) -> Vector:
         """Distance of points (..., 3) from the polyhedron [m], zero inside; shape (...)."""
@@ -100,5 +101,5 @@ class Polyhedron:
         along, off = end - start, points[..., None, :] - start
         share = np.clip((off * along).sum(axis=-1) / (along**2).sum(axis=-1), 0.0, 1.0)
         to_edges = np.linalg.norm(off - share[..., None] * along, axis=-1).min(axis=-1)
-        result: Vector = np.minimum(to_edges, self.over_faces(points))
+        result: Vector = np.minimum(to_edges, self.over_faces(points)[0])
         return result
