@@ -31,7 +31,7 @@ from climber.programs.trajectory import NUM_CONTROL, ChartProgram, refine
 from climber.robot import Robot
 from climber.scenario import load_scenario
 from climber.stance import Contact, Vector
-from climber.transition import find_transition, support_interval
+from climber.transition import find_transition, support_of
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class Sample:
 
 
 def manifold_of(body: Body, contacts: list[Contact]) -> Manifold | None:
-    support = support_interval(body, contacts)
-    return None if support is None or support[0] > support[1] else Manifold(body, contacts, support)
+    support = support_of(body, contacts)
+    return None if support is None or support.depth < 0.0 else Manifold(body, contacts, support)
 
 
 def climb(body: Body, start: list[int], rng: np.random.Generator, near: bool) -> Iterator[Sample]:

@@ -36,7 +36,7 @@ from climber.path import Leg, Search, find_path, line
 from climber.phase_motion import MotionBudget
 from climber.robot import Robot
 from climber.stance import Contact, Move, Stance
-from climber.transition import find_transition, support_interval
+from climber.transition import find_transition, support_of
 from climber.transitions import Effort
 from climber.wall import Hold, Wall
 
@@ -115,7 +115,7 @@ def our_swing(body: Body, move: Move, rng: np.random.Generator) -> Swing:
     legs, manifold = None, None
     if len(leave) and len(arrive):
         support = [contact for contact in leave.contacts if contact.limb != move.limb]
-        interval = support_interval(body, support)
+        interval = support_of(body, support)
         assert interval is not None  # its transitions were found
         manifold = Manifold(body, support, interval)
         holding = tuple(contact.limb for contact in support)
@@ -142,7 +142,7 @@ def sound(swing: Swing) -> bool:
     manifold = swing.manifold
     kinematics, holding = manifold.body.kinematics, sorted(manifold.points)
     points = np.array([manifold.points[limb] for limb in holding])
-    lower, upper = manifold.support
+    lower, upper = manifold.support.abscissas
     for leg in swing.legs:
         fine = [line(leg.chart, a, b, Search().step / 5) for a, b in zip(leg.u[:-1], leg.u[1:], strict=True)]
         q, _ = leg.chart.expand(np.concatenate(fine))

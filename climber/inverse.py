@@ -32,6 +32,14 @@ class LimbInverse(Protocol):
     leading: int
     room_names: tuple[str, ...]
 
+    @property
+    def levels(self) -> tuple[float, float]:
+        """Between which heights along the pelvis's z the foot can be, from where the limb begins [m].
+
+        These are bounds: infinite for a limb that leaves its plane.
+        """
+        ...
+
     def solve(self, pelvis: Pose, leading: Vector, target: Vector) -> tuple[Vector, Vector]:
         """Solves for the joints behind the leading ones.
 
@@ -117,6 +125,11 @@ class TwoLinkInverse:
         self._middle = (lower[-2:] + upper[-2:]) / 2
 
     room_names: tuple[str, ...] = ("not folded too far", "not stretched too far")
+
+    @property
+    def levels(self) -> tuple[float, float]:
+        """See `LimbInverse.levels`: not bounded, as a planar robot's limbs need no bounds."""
+        return -np.inf, np.inf
 
     @property
     def extent(self) -> tuple[float, float]:
@@ -225,6 +238,15 @@ class PitchingInverse:
         first = shoulder.c0 + shoulder.c2
         n, second = shoulder.axis, first @ (elbow.c0 + elbow.c2)
         return bool(abs(abs(n @ first @ elbow.axis) - 1) < SQUARE and abs(n @ second @ wrist.axis) < SQUARE)
+
+    @property
+    def levels(self) -> tuple[float, float]:
+        """See `LimbInverse.levels`: the first two joints keep to a plane, if it is the pelvis's."""
+        n = self._axes[2]
+        if self.leading or abs(abs(n[2]) - 1) > SQUARE:
+            return -np.inf, np.inf
+        middle = float(n[2]) * self._height
+        return middle - self._radius, middle + self._radius
 
     def _outer(self, pitch: Vector) -> tuple[Vector, Vector]:
         """Length [m] and direction [rad] of link b, seen along n, with the second joint at zero; shape of `pitch`."""

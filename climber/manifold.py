@@ -20,6 +20,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from climber.balance import Region
 from climber.clearance import Clearance
 from climber.dynamics import turning
 from climber.inverse import limb_inverse
@@ -38,7 +39,7 @@ class Margins:
         reach: Of a holding limb's workspace [m]; joint rates grow without bound where a limb is straight.
         joint: Of the joint limits [rad].
         clearance: Between links, pelvis and obstacles [m].
-        balance: Of the support interval [m], but never more than a fifth of its width.
+        balance: Of the support's border [m], but never more than two fifths of the way to its middle.
     """
 
     reach: float = 0.001
@@ -103,7 +104,7 @@ class Chart:
         self.solved = tuple(i for i in self.points if i != root)
         if lacking := body.without_inverse(self.solved):
             raise ValueError(f"limb {lacking[0]} holds and has no inverse kinematics; it must be the chart's root")
-        places: list[int] = list(body.robot.base_q if root is None else body.robot.base_q[2:])
+        places: list[int] = list(body.robot.base_q if root is None else body.robot.angle_q)
         for i, (limb, inverse) in enumerate(zip(body.robot.limbs, body.inverse, strict=True)):
             leading = 0 if inverse is None else inverse.leading
             places += list(limb.q[: leading if i in self.solved else len(limb.q)])
@@ -123,8 +124,8 @@ class Chart:
 
     @cached_property
     def _hanging(self) -> bool:
-        """Whether no limb but the one at the root holds."""
-        return tuple(self.points) == (self.root,)
+        """Whether no limb but the one at the root holds, and the robot is planar and may turn about it."""
+        return self.body.robot.planar and tuple(self.points) == (self.root,)
 
     @cached_property
     def _to_coordinates(self) -> Vector:
@@ -152,8 +153,8 @@ class Chart:
 
     @cached_property
     def _angle(self) -> int:
-        """Place of the pelvis's angle among the coordinates."""
-        return int(np.flatnonzero(self.independent == self.body.robot.base_q[2])[0])
+        """Place of a planar pelvis's angle among the coordinates."""
+        return int(np.flatnonzero(self.independent == self.body.robot.angle_q[0])[0])
 
     def bounds(self, a: Vector, b: Vector) -> tuple[Vector, Vector]:
         """Where to look for a path between two points: around both, and no farther than joint limits.
@@ -184,8 +185,7 @@ class Chart:
     def scale(self) -> Vector:
         """Weights that make the coordinates commensurate: a metre of pelvis counts as its turn over a limb's length."""
         weights = np.ones(len(self.independent))
-        base = self.body.robot.base_q[:2]
-        weights[np.isin(self.independent, base)] = 2.0 / self.body.robot.reach.mean()
+        weights[np.isin(self.independent, self.body.robot.origin_q)] = 2.0 / self.body.robot.reach.mean()
         return weights
 
     def coordinates(self, q: Vector) -> Vector:
@@ -207,7 +207,7 @@ class Chart:
             turned = self.body.kinematics.pelvis(q[:, robot.base_q])
             chain = self.body.kinematics.chains[self.root]
             foot = chain.foot_position(turned, chain.links(turned, q[:, robot.limbs[self.root].q]))
-            q[:, robot.base_q[:2]] = (self.points[self.root] - foot)[:, :2]
+            q[:, robot.origin_q] = (self.points[self.root] - foot)[:, : robot.dimension]
         pelvis = self.body.kinematics.pelvis(q[:, robot.base_q])
         slack = np.full(len(u), np.inf)
         for i in self.solved:
@@ -228,23 +228,21 @@ class Manifold:
     Attributes:
         body: The robot.
         contacts: The contacts that hold.
-        support: Where the centre of mass's abscissa may be [m], (lower, upper).
+        support: Where the centre of mass may be.
         margins: How far inside each limit.
     """
 
     def __init__(
-        self, body: Body, contacts: Sequence[Contact], support: tuple[float, float], margins: Margins | None = None
+        self, body: Body, contacts: Sequence[Contact], support: Region, margins: Margins | None = None
     ) -> None:
         self.body, self.contacts, self.support = body, tuple(contacts), support
         self.margins = margins or Margins()
         self.points = {c.limb: body.wall.point(c) for c in self.contacts}
 
     @cached_property
-    def balanced(self) -> tuple[float, float]:
-        """The support interval less its margin [m]."""
-        lower, upper = self.support
-        margin = min(self.margins.balance, 0.2 * (upper - lower))
-        return lower + margin, upper - margin
+    def balanced(self) -> Region:
+        """The support less its margin."""
+        return self.support.shrunk(self.margins.balance)
 
     @cached_property
     def global_charts(self) -> bool:
@@ -254,7 +252,7 @@ class Manifold:
     @cached_property
     def rigid(self) -> bool:
         """Whether the contacts leave no freedom, but at singular configurations: postures are isolated points."""
-        return int(self.body.robot.plant.num_positions()) <= 2 * len(self.points)
+        return int(self.body.robot.plant.num_positions()) <= self.body.robot.dimension * len(self.points)
 
     def chart(self, q: Vector, root: int | None = None) -> AnyChart:
         """The chart around the configuration `q`, shape (nq,).
@@ -275,13 +273,11 @@ class Manifold:
     def slack(self, q: Vector) -> Vector:
         """By how much configurations on the contacts are feasible beyond the margins, shape (K,); negative if not.
 
-        The least of: distance to joint limits [rad], to the ends of the support interval [m] and to collision [m].
+        The least of: distance to joint limits [rad], to the border of the support [m] and to collision [m].
         """
         kinematics = self.body.kinematics
         poses: list[Pose] = kinematics.poses(q)
-        lower, upper = self.balanced
-        abscissa = kinematics.center_of_mass(q, poses)[:, 0]
-        result = np.minimum(abscissa - lower, upper - abscissa)
+        result = self.balanced.room(kinematics.center_of_mass(q, poses))
         result = np.minimum(result, kinematics.within_limits(q, self.margins.joint))
         # Distances cost the most, so only where the rest holds.
         good = np.flatnonzero(result >= 0)

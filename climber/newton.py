@@ -56,19 +56,20 @@ class Closure:
         """Diagonal of S: a metre of the pelvis counts as its turn over a limb's length; shape (nq,)."""
         robot = self.kinematics.robot
         weights = np.ones(robot.plant.num_positions())
-        weights[robot.base_q[:2]] = 2.0 / robot.reach.mean()
+        weights[robot.origin_q] = 2.0 / robot.reach.mean()
         return weights
 
     def gap(self, q: Vector) -> Vector:
-        """How far the feet are from their contacts [m], x and y limb by limb, shape (K, 2 k)."""
-        wanted = np.array([self.points[i][:2] for i in self.limbs]).reshape(-1, 2)
-        feet = self.kinematics.feet(q)[:, list(self.limbs), :2]
-        return np.asarray((feet - wanted).reshape(len(q), 2 * len(self.limbs)))
+        """How far the feet are from their contacts [m], x, y and in space z limb by limb, shape (K, dimension k)."""
+        dimension = self.kinematics.robot.dimension
+        wanted = np.array([self.points[i][:dimension] for i in self.limbs]).reshape(-1, dimension)
+        feet = self.kinematics.feet(q)[:, list(self.limbs), :dimension]
+        return np.asarray((feet - wanted).reshape(len(q), wanted.size))
 
     def jacobian(self, q: Vector) -> Vector:
-        """Derivative of `gap` by the scaled configuration S q, shape (K, 2 k, nq)."""
-        J = self.kinematics.foot_jacobians(q, self.limbs)
-        result: Vector = J.reshape(len(q), 2 * len(self.limbs), len(self.scale)) / self.scale
+        """Derivative of `gap` by the scaled configuration S q, shape (K, dimension k, nq)."""
+        J = self.kinematics.robot.by_positions(q, self.kinematics.foot_jacobians(q, self.limbs))
+        result: Vector = J.reshape(len(q), J.shape[1] * J.shape[2], len(self.scale)) / self.scale
         return result
 
     def project(self, q: Vector, iterations: int = 30) -> tuple[Vector, NDArray[np.bool_]]:

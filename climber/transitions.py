@@ -15,7 +15,7 @@ from climber.manifold import Body, Manifold, Margins
 from climber.programs.torque import static_feasible
 from climber.scenario import Budget
 from climber.stance import Contact, Move
-from climber.transition import Failure, Postures, find_transition, posture_sampler, support_interval
+from climber.transition import Failure, Postures, find_transition, posture_sampler, support_of
 
 Stage = Literal["transition", "motion", "torque"]
 
@@ -152,7 +152,7 @@ class TransitionFinder:
 
     def manifold(self, contacts: Sequence[Contact]) -> Manifold | None:
         """The manifold of some contacts, None if these cannot hold the robot."""
-        support = support_interval(self.body, contacts)
+        support = support_of(self.body, contacts)
         return None if support is None else Manifold(self.body, contacts, support, self.margins)
 
     def standing(self, contacts: tuple[Contact, ...], region: BaseGeometry | None = None) -> Postures:

@@ -13,7 +13,7 @@ from climber.kinematics import Kinematics
 from climber.manifold import Body, Manifold, Margins
 from climber.robot import Robot
 from climber.stance import Contact, Vector
-from climber.transition import PostureSampler, support_interval
+from climber.transition import PostureSampler, support_of
 from climber.wall import Hold, Wall
 
 FOLDER = Path(__file__).parent / "models"
@@ -125,7 +125,7 @@ def standing(model: str, seed: int, air: tuple[int, ...] = (), margins: Margins 
         holds = tuple(Hold(tuple(foot), (0.0, 1.0, 0.0), 0.6, max_force=200.0, grip="pin") for foot in feet)
         here = Body(machine, Wall(holds))
         contacts = tuple(Contact(i, i) for i in range(len(feet)) if i not in air)
-        support = support_interval(here, contacts)
+        support = support_of(here, contacts)
         if support is None:
             continue
         manifold = Manifold(here, contacts, support, margins)

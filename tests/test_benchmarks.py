@@ -18,7 +18,7 @@ from benchmarks.bench_swing import MODEL, body, climb, our_swing, peer_swing, so
 from benchmarks.peers.thesis_ompl import JOINT_LIMIT, Contacts, Geometry, ThesisSwing
 from benchmarks.rows import Row, markdown, table
 from climber.robot import Robot
-from climber.transition import support_interval
+from climber.transition import support_of
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -126,7 +126,8 @@ def test_peer_and_ours_keep_the_centre_of_mass_over_the_same_interval():
     for move in climb():
         peer = ThesisSwing(wall_data(), move.start.holds, move.end.holds)
         support = [contact for contact in bench_swing.contacts(move.start) if contact.limb != move.limb]
-        assert peer.holding == pytest.approx(support_interval(body(), support), abs=1e-6)
+        ours = support_of(body(), support)
+        assert ours is not None and peer.holding == pytest.approx(ours.abscissas, abs=1e-6)
 
 
 def test_postures_of_the_peer_stand_on_all_four_holds():

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from robots import MODELS, Standing, clear_configurations, every_model, kinematics, robot, standing
 
+from climber.balance import Region
 from climber.manifold import Body, Chart, Manifold, Margins
 from climber.stance import Contact, Vector
 from climber.wall import Hold, Wall, circle
@@ -198,7 +199,7 @@ def by_parts(manifold: Manifold, q: Vector) -> float:
     context = machine.context()
     machine.plant.SetPositions(context, q)
     x = machine.center_of_mass(context)[0]
-    lower, upper = manifold.support
+    lower, upper = manifold.support.abscissas
     room = min(margins.balance, 0.2 * (upper - lower))
     parts = [x - lower - room, upper - room - x]
     for limb in machine.limbs:
@@ -240,10 +241,9 @@ def test_each_margin_is_asked_for() -> None:
     assert slack["joint"] <= room - 0.5 + 1e-12
     assert slack["clearance"] < 0
     manifold = Manifold(here.body, here.contacts, here.manifold.support, Margins(0, 0, 0, 10.0))
-    width = here.manifold.support[1] - here.manifold.support[0]
-    assert manifold.balanced == pytest.approx(
-        (here.manifold.support[0] + 0.2 * width, here.manifold.support[1] - 0.2 * width)
-    )
+    lower, upper = here.manifold.support.abscissas
+    width = upper - lower
+    assert manifold.balanced.abscissas == pytest.approx((lower + 0.2 * width, upper - 0.2 * width))
     chart = plain(here.manifold, here.q)
     far = Manifold(here.body, here.contacts, here.manifold.support, Margins(reach=1.0))
     assert not far.feasible(chart, chart.coordinates(here.q[None])).any()
@@ -251,7 +251,7 @@ def test_each_margin_is_asked_for() -> None:
 
 def test_support_interval_of_a_point_keeps_it() -> None:
     here = case("quadruped", 0)
-    assert Manifold(here.body, here.contacts, (0.3, 0.3)).balanced == (0.3, 0.3)
+    assert Manifold(here.body, here.contacts, Region.interval(0.3, 0.3)).balanced.abscissas == (0.3, 0.3)
 
 
 def test_contact_away_from_the_middle_of_its_patch_is_stood_on_there() -> None:
@@ -262,7 +262,7 @@ def test_contact_away_from_the_middle_of_its_patch_is_stood_on_there() -> None:
     along = np.cross(tilt, [0.0, 0.0, 1.0])
     holds = tuple(Hold(tuple(foot - 0.005 * along), tuple(tilt), 0.6, half_width=0.01) for foot in feet)
     here = Body(machine, Wall(holds))
-    manifold = Manifold(here, [Contact(i, i, 0.005) for i in range(4)], (-9.0, 9.0))
+    manifold = Manifold(here, [Contact(i, i, 0.005) for i in range(4)], Region.interval(-9.0, 9.0))
     chart = plain(manifold, q)
     again, _ = chart.expand(chart.coordinates(q[None]))
     assert again[0] == pytest.approx(q, abs=1e-9)

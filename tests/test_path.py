@@ -13,6 +13,7 @@ import shapely
 from robots import MODELS, Standing, every_model, robot, standing
 from shapely.geometry.base import BaseGeometry
 
+from climber.balance import Region
 from climber.manifold import Body, Chart, Manifold, Margins
 from climber.path import Leg, Search, clear, find_path, flips, line, unwound
 from climber.roadmap import Roadmap
@@ -173,7 +174,7 @@ def ring(obstacles: tuple[object, ...] = (), air: tuple[int, ...] = ()) -> Manif
     """The quadruped on four pins around it, wherever its centre of mass."""
     holds = tuple(Hold((x, y, 0.0), (0.0, 1.0, 0.0), 0.6, max_force=200.0, grip="pin") for x, y in RING)
     body = Body(robot("quadruped"), Wall(holds, obstacles))  # type: ignore[arg-type]
-    return Manifold(body, [c for c in FOUR if c.limb not in air], (-1.0, 1.0))
+    return Manifold(body, [c for c in FOUR if c.limb not in air], Region.interval(-1.0, 1.0))
 
 
 def posture(manifold: Manifold, x: float, y: float, branches: tuple[int, ...] = (0, 0, 0, 0)) -> Vector:
@@ -200,7 +201,7 @@ def swing(obstacles: tuple[object, ...] = (), width: float = 1.0) -> tuple[Manif
     a, b = posture(manifold, 0.0, 0.0), posture(manifold, 0.0, 0.0)
     a[HIP], b[HIP] = 0.4, -1.6
     a[KNEE] = b[KNEE] = 0.3
-    manifold = Manifold(manifold.body, manifold.contacts, (-width, width))
+    manifold = Manifold(manifold.body, manifold.contacts, Region.interval(-width, width))
     assert manifold.slack(np.array([a, b])).min() >= 0
     return manifold, a, b
 
@@ -248,7 +249,7 @@ def test_joints_whose_range_is_wider_than_a_turn_do_not_jump_from_one_end_of_it_
     machine = Robot(tmp_path / "quadruped.urdf")
     holds = tuple(Hold((x, y, 0.0), (0.0, 1.0, 0.0), 0.6, max_force=200.0, grip="pin") for x, y in RING)
     # One limb only, so that the pelvis can be where its hip has to turn by half a turn; nothing else is in the way.
-    manifold = Manifold(Body(machine, Wall(holds)), [Contact(0, 0)], (-1.0, 1.0))
+    manifold = Manifold(Body(machine, Wall(holds)), [Contact(0, 0)], Region.interval(-1.0, 1.0))
     manifold.body.clearance = lambda poses: np.full(len(poses[0].origin), np.inf)  # type: ignore[method-assign, assignment]
     chart = Chart(manifold.body, manifold.points, (0, 0, 0, 0))
     around = np.zeros((400, len(chart.independent)))
@@ -399,11 +400,11 @@ def test_roadmap_gives_up_when_its_checks_are_used_up() -> None:
 
 def test_roadmap_of_a_stance_without_postures_is_empty() -> None:
     here, q = stance("quadruped", 0)
-    nowhere = replace_support(here.manifold, (50.0, 51.0))
+    nowhere = replace_support(here.manifold, Region.interval(50.0, 51.0))
     assert Roadmap(nowhere, np.random.default_rng(0)).path(q[0], q[1]) is None
 
 
-def replace_support(manifold: Manifold, support: tuple[float, float]) -> Manifold:
+def replace_support(manifold: Manifold, support: Region) -> Manifold:
     return Manifold(manifold.body, manifold.contacts, support, manifold.margins)
 
 

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from problems import thesis_wall
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
+from climber.balance import Region
 from climber.manifold import Body, Manifold
 from climber.programs.posture import PostureProgram, distance, improve_posture
 from climber.robot import Robot
 from climber.stance import Contact, Vector
-from climber.transition import Postures, find_transition, support_interval
+from climber.transition import Postures, find_transition, support_of
 
 WALL, START, _ = thesis_wall("W2")
 BODY = Body(Robot("package://climber/quadruped/quadruped.urdf", WALL.gravity), WALL)
@@ -23,7 +24,7 @@ CONTACTS = [Contact(limb, hold) for limb, hold in enumerate(START.holds)]
 
 
 def on(contacts: list[Contact]) -> Manifold:
-    support = support_interval(BODY, contacts)
+    support = support_of(BODY, contacts)
     assert support is not None
     return Manifold(BODY, contacts, support)
 
@@ -100,7 +101,7 @@ def test_no_neighbour_in_the_chart_that_meets_the_constraints_is_nearer_than_the
     chart = manifold.chart(postures.q[0])
     u = chart.coordinates(solution.q)
     q, reach = chart.expand(u + rng.normal(scale=1e-2, size=(4000, len(u))) / chart.scale)
-    lower, upper = manifold.balanced
+    lower, upper = manifold.balanced.abscissas
     x = BODY.kinematics.center_of_mass(q)[:, 0]
     met = (reach >= manifold.margins.reach) & (BODY.kinematics.within_limits(q, manifold.margins.joint) >= 0)
     met &= (x >= lower) & (x <= upper)
@@ -110,7 +111,7 @@ def test_no_neighbour_in_the_chart_that_meets_the_constraints_is_nearer_than_the
 
 def test_program_says_which_constraint_stands_in_the_way(postures: Postures) -> None:
     # The centre of mass would have to be a metre away from the holds.
-    manifold = Manifold(BODY, CONTACTS, (1.0, 1.1))
+    manifold = Manifold(BODY, CONTACTS, Region.interval(1.0, 1.1))
     solution = PostureProgram(BODY, manifold, BODY.branches(postures.q[0])).solve(postures.q[0], [(1.0, postures.q[0])])
     assert any("centre of mass" in name or "foot of" in name for name in solution.violated)
     assert improve_posture(BODY, manifold, postures.q[0], [(1.0, postures.q[1])]) is None

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from climber.balance import Region
 from climber.graph import StanceGraph, build_stance_graph
 from climber.manifold import Body, Manifold, Margins
 from climber.prune import distances, impossible_moves, out_of_reach
@@ -19,7 +20,7 @@ from climber.random_wall import Recipe, make_wall
 from climber.robot import Robot
 from climber.scenario import load_scenario
 from climber.stance import Contact, Stance
-from climber.transition import PostureSampler, find_transition, support_interval
+from climber.transition import PostureSampler, find_transition, support_of
 from climber.wall import Hold, Wall
 from climber.wall_command import MODEL
 
@@ -149,7 +150,7 @@ def test_stances_proved_out_of_reach_have_no_sampled_posture() -> None:
     for vertex in rng.choice(far, 30, replace=False):
         holds = graph.stances[vertex].tolist()
         contacts = [Contact(i, h, float(rng.uniform(-1, 1)) * wall.holds[h].half_width) for i, h in enumerate(holds)]
-        manifold = Manifold(body, contacts, (-9.0, 9.0), NO_MARGINS)
+        manifold = Manifold(body, contacts, Region.interval(-9.0, 9.0), NO_MARGINS)
         assert PostureSampler(body, manifold).draw(rng, 2000)[3] == 0
 
 
@@ -160,7 +161,7 @@ def test_on_points_all_that_the_sampler_finds_out_of_reach_is_proved_so_at_once(
     far = out_of_reach(_robot(), points, graph.stances)
     for vertex in range(0, graph.num_vertices, 5):
         contacts = [Contact(i, h) for i, h in enumerate(graph.stances[vertex].tolist())]
-        unreachable = PostureSampler(body, Manifold(body, contacts, (-9.0, 9.0))).unreachable()
+        unreachable = PostureSampler(body, Manifold(body, contacts, Region.interval(-9.0, 9.0))).unreachable()
         assert far[vertex] or not unreachable
 
 
@@ -178,10 +179,10 @@ def test_support_anywhere_on_the_patches_is_within_the_interval(seed: int) -> No
     holds = graph.stances[vertex].tolist()
     offsets = rng.choice([-1.0, 1.0], 4) * [wall.holds[h].half_width for h in holds]
     contacts = [Contact(i, h, float(o)) for i, (h, o) in enumerate(zip(holds, offsets, strict=True))]
-    every, others = (support_interval(_body(), c) for c in (contacts, [c for c in contacts if c.limb != limb]))
+    every, others = (support_of(_body(), c) for c in (contacts, [c for c in contacts if c.limb != limb]))
     if every is None or others is None:
         return
-    lower, upper = max(every[0], others[0]), min(every[1], others[1])
+    lower, upper = every.meet(others).abscissas
     if lower <= upper:
         assert intervals[vertex, limb, 0] <= lower and upper <= intervals[vertex, limb, 1]
 

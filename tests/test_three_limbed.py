@@ -13,7 +13,7 @@ from climber.plan_file import Plan
 from climber.robot import Robot
 from climber.scenario import Scenario, load_scenario
 from climber.stance import Contact, Stance
-from climber.transition import PostureSampler, find_transition, support_interval
+from climber.transition import PostureSampler, find_transition, support_of
 from climber.verify import verify
 
 THREE_LIMBED = "package://climber/three_limbed/three_limbed.urdf"
@@ -56,7 +56,7 @@ def postures(body: Body, contacts: tuple[Contact, ...], least: float, most: floa
 
     The top hand stays where it is and its arm's joints are drawn, so that straight arms are as likely as bent ones.
     """
-    support = support_interval(body, contacts)
+    support = support_of(body, contacts)
     assert support is not None
     manifold, rng, found = Manifold(body, contacts, support), np.random.default_rng(2), 0
     for right in (0, 1):
@@ -114,7 +114,7 @@ def test_the_elbow_cannot_change_its_bend_once_the_hold_is_taken(body: Body) -> 
     assert postures(body, left_off, -0.3, 0.3) == 0
     # All hands on: the third closes another loop, which the sampler of postures is made for.
     assert postures(body, TAKEN, -0.3, 0.3) == 0
-    support = support_interval(body, TAKEN)
+    support = support_of(body, TAKEN)
     assert support is not None
     sampler, rng = PostureSampler(body, Manifold(body, TAKEN, support)), np.random.default_rng(3)
     q = np.concatenate([sampler.draw(rng, 30_000)[0] for _ in range(6)])

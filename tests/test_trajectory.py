@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from problems import thesis_wall
 from pydrake.multibody.tree import JacobianWrtVariable
 
+from climber.balance import Region
 from climber.clearance import segment_distance
 from climber.curve import Curve, clamped_knots, greville, joint_length, polyline_lengths, rounded, smooth
 from climber.manifold import Body, Chart, Manifold, Margins
@@ -20,7 +21,7 @@ from climber.programs.kinematic_trajectory import KinematicTrajectoryProgram
 from climber.programs.trajectory import ChartProgram, minimise, refine
 from climber.robot import Robot
 from climber.stance import Contact, Vector
-from climber.transition import find_transition, support_interval
+from climber.transition import find_transition, support_of
 from climber.wall import Wall, circle
 
 WALL, START, _ = thesis_wall("W2")
@@ -53,7 +54,7 @@ def ways(count: int, seed: int) -> list[Way]:
     for limb in (1, 3):
         q = find_transition(BODY, CONTACTS, limb, rng).q
         for contacts in (CONTACTS, [c for c in CONTACTS if c.limb != limb]):
-            support = support_interval(BODY, contacts)
+            support = support_of(BODY, contacts)
             assert support is not None
             manifolds.append((Manifold(BODY, contacts, support), q))
     while len(straight) < count or len(cornered) < count:
@@ -327,10 +328,10 @@ def narrowed(way: Way, beyond: float) -> Manifold:
     u = np.concatenate([a + part * (b - a) for a, b in zip(way.u[:-1], way.u[1:], strict=True)])
     x = BODY.kinematics.center_of_mass(way.chart.expand(u)[0])[:, 0]
     margin = Margins().balance
-    return Manifold(BODY, way.manifold.contacts, (x.min() - 0.1, x.max() - beyond + margin))
+    return Manifold(BODY, way.manifold.contacts, Region.interval(x.min() - 0.1, x.max() - beyond + margin))
 
 
-def test_polyline_that_leaves_the_support_interval_is_refused() -> None:
+def test_polyline_that_leaves_the_support_of_is_refused() -> None:
     for way in WAYS[:4]:
         assert smooth(narrowed(way, 0.004), way.chart, way.u) is None
         assert refine(narrowed(way, 0.004), way.chart, way.u) is None
@@ -343,7 +344,7 @@ def test_polyline_that_grazes_its_margins_may_use_up_half_of_them() -> None:
         curve = refine(manifold, way.chart, way.u)
         assert curve is not None
         x = BODY.kinematics.center_of_mass(curve.q(curve.grid(FINE)))[:, 0]
-        assert x.max() <= manifold.support[1] - 0.0009
+        assert x.max() <= manifold.support.abscissas[1] - 0.0009
 
 
 # --- Drake's program -------------------------------------------------------------------------------------------------
@@ -375,7 +376,7 @@ def test_both_programs_refuse_ends_that_fall() -> None:
     for way in STRAIGHT[:2]:
         q = way.chart.expand(way.u)[0]
         x = BODY.kinematics.center_of_mass(q)[:, 0]
-        manifold = Manifold(BODY, way.manifold.contacts, (x.max() + 5.0, x.max() + 5.1))
+        manifold = Manifold(BODY, way.manifold.contacts, Region.interval(x.max() + 5.0, x.max() + 5.1))
         answer = by_drake(way, manifold)
         assert not isinstance(answer, Curve) and answer
         assert refine(manifold, way.chart, way.u) is None

@@ -14,17 +14,18 @@ from hypothesis.extra import numpy as hnp
 from problems import thesis_wall
 from robots import MODELS, clear_configurations, every_model, kinematics, robot, standing
 
+from climber.balance import Region
 from climber.manifold import Body, Manifold, Margins
+from climber.planar_bases import PlanarBases, enclosing_circles
 from climber.programs.equilibrium import SupportProgram
 from climber.stance import Contact, Vector
 from climber.transition import (
     Postures,
     PostureSampler,
-    _enclosing_circles,
     between,
     find_transition,
     spread,
-    support_interval,
+    support_of,
 )
 from climber.wall import Hold, Wall, circle
 
@@ -63,7 +64,7 @@ def by_trying_all(points: Vector) -> float:
 @settings(max_examples=300, deadline=None)
 @given(hnp.arrays(float, st.tuples(st.integers(1, 6), st.just(2)), elements=coordinates))
 def test_enclosing_circle_is_the_smallest_of_all_circles_through_some_of_the_points(points: Vector) -> None:
-    (center,), (radius,) = _enclosing_circles(points[None])
+    (center,), (radius,) = enclosing_circles(points[None])
     assert radius == pytest.approx(by_trying_all(points), abs=1e-8)
     assert (np.linalg.norm(points - center, axis=1) <= radius + 1e-7).all()
 
@@ -84,7 +85,7 @@ def test_enclosing_circle_is_the_smallest_of_all_circles_through_some_of_the_poi
 def test_enclosing_circle_worked_by_hand(
     points: list[tuple[float, float]], center: tuple[float, float], radius: float
 ) -> None:
-    c, r = _enclosing_circles(np.array([points, points], dtype=float))
+    c, r = enclosing_circles(np.array([points, points], dtype=float))
     assert c[1] == pytest.approx(center, abs=1e-12) and r == pytest.approx([radius] * 2, abs=1e-12)
 
 
@@ -100,7 +101,7 @@ def on_wall(model: str, points: Vector, **hold: object) -> Body:
 def everywhere(here: Body) -> Manifold:
     """All configurations with every limb on the hold of its number, wherever the centre of mass."""
     contacts = [Contact(i, i) for i in range(len(here.robot.limbs))]
-    return Manifold(here, contacts, (-np.inf, np.inf), Margins(0.0, 0.0, 0.0, 0.0))
+    return Manifold(here, contacts, Region.interval(-np.inf, np.inf), Margins(0.0, 0.0, 0.0, 0.0))
 
 
 def reachable_on_a_grid(here: Body, angles: int, steps: int) -> bool:
@@ -140,8 +141,8 @@ def test_unreachable_is_exact_for_equal_limbs_but_for_a_cell_of_the_angle(seed: 
     turned = np.exp(1j * np.linspace(-np.pi, np.pi, 2000, endpoint=False))[:, None] * hips
     centers = holds - np.stack([turned.real, turned.imag], axis=-1)
     radius = min(by_trying_all(points) for points in centers[::25])
-    radius = min(radius, float(_enclosing_circles(centers)[1].min()))
-    slop = 0.05 * np.pi / PostureSampler.CELLS
+    radius = min(radius, float(enclosing_circles(centers)[1].min()))
+    slop = 0.05 * np.pi / PlanarBases.CELLS
     unreachable = PostureSampler(here, everywhere(here)).unreachable()
     if unreachable:
         assert radius > 0.2
@@ -272,10 +273,11 @@ def test_sampler_draws_postures_with_a_limb_in_the_air_too() -> None:
 def test_between_stands_on_the_contacts_of_both_and_keeps_both_margins() -> None:
     here = standing("quadruped", 0)
     some = here.contacts[:3]
-    one, two = Manifold(here.body, some, (0.0, 1.0)), Manifold(here.body, here.contacts, (0.5, 0.505))
+    one = Manifold(here.body, some, Region.interval(0.0, 1.0))
+    two = Manifold(here.body, here.contacts, Region.interval(0.5, 0.505))
     both = between(one, two)
     assert both.contacts == here.contacts
-    assert both.balanced == pytest.approx((0.501, 0.504))  # a fifth of 5 mm each side, and 2 mm of the other
+    assert both.balanced.abscissas == pytest.approx((0.501, 0.504))  # a fifth of 5 mm each side, and 2 mm of the other
     assert both.margins == replace(Margins(), balance=0.0)
 
 
@@ -317,7 +319,7 @@ def test_limbs_that_cannot_carry_the_robot_alone_are_a_proof() -> None:
 def test_limbs_that_cannot_all_press_are_a_proof() -> None:
     # Three frictionless holds carry 19.6 N with forces of 3 to 5 N along each of two edges; four must press 24 N.
     here = on_wall("quadruped", SQUARE, grip="friction", friction=0.0, min_force=3.0, max_force=5.0)
-    assert support_interval(here, FOUR[1:]) is not None
+    assert support_of(here, FOUR[1:]) is not None
     kind, reason = failure_of(here)
     assert kind == "proved" and reason == "no forces of all limbs balance gravity"
 
@@ -329,14 +331,15 @@ def test_support_intervals_apart_are_a_proof() -> None:
     here = Body(robot("quadruped"), Wall((replace(holds[0], min_force=4.0), *holds[1:])))
     kind, reason = failure_of(here)
     assert kind == "proved"
-    assert reason == f"the support intervals with and without right_front lie {0.3 * 8 / (2 * 9.81):.4f} m apart"
+    assert reason == f"the supports with and without right_front lie {0.3 * 8 / (2 * 9.81):.4f} m apart"
 
 
 def test_centre_of_mass_that_no_posture_brings_over_its_support_is_out_of_budget() -> None:
     # The right front limb's hold is as far away as it reaches, and the others can carry only what is left of -0.06 m.
     points = np.array([[0.25, 0.1], [-0.19, 0.1], [-0.19, -0.1], [-0.06, -0.15]])
     here = on_wall("quadruped", points, grip="friction", friction=0.0, max_force=30.0)
-    assert support_interval(here, FOUR[1:]) == pytest.approx((-0.19, -0.06))
+    support = support_of(here, FOUR[1:])
+    assert support is not None and support.abscissas == pytest.approx((-0.19, -0.06))
     kind, reason = failure_of(here, rounds=(2000,))
     assert kind == "budget"
     assert reason == "no posture with the centre of mass supported and no collision among 2000 pelvis poses"

@@ -18,7 +18,7 @@ from climber.kinematics import Pose
 from climber.manifold import AnyChart, Manifold
 from climber.stance import Vector
 
-ANYWHERE = 1e6  # [m] stands for the end of an unbounded support interval
+ANYWHERE = 1e6  # [m] stands for the end of an unbounded support
 STEP = 1e-6  # [m, rad] of the central differences; their error is about its square, a thousandfold near straight limbs
 
 
@@ -82,7 +82,7 @@ class Conditions:
             assert inverse is not None  # as a chart solves for the limb
             self._inverse.append((inverse, int(first[i]) + inverse.leading - 1 if inverse.leading else 0))
         # Without weight the centre of mass may be anywhere; differences of infinities are no numbers.
-        self._balanced = tuple(np.clip(manifold.balanced, -ANYWHERE, ANYWHERE))
+        self._balanced = np.clip(manifold.balanced.b, -ANYWHERE, ANYWHERE)
         self._a, self._b = clearance.one, clearance.two
         self._link = np.repeat(np.arange(len(kinematics.links)), np.diff(clearance.first))
         number = {pair: k for k, pair in enumerate(clearance.pairs)}
@@ -95,21 +95,20 @@ class Conditions:
         self.names: tuple[str, ...] = (
             *(f"{joint} above its lower limit" for joint in joints),
             *(f"{joint} below its upper limit" for joint in joints),
-            "centre of mass right of the support interval's lower end",
-            "centre of mass left of the support interval's upper end",
+            *manifold.balanced.names,
             *reaches,
             *(f"{kinematics.links[i]} clear of {kinematics.links[j]}" for i, j in clearance.pairs),
             *(f"{link} clear of obstacles" for link in kinematics.links),
         )
         self._outside = len(self.names) - len(kinematics.links)  # where those about obstacles begin
-        self._smooth = 2 * len(joints) + 2 + len(reaches)  # how many of them are not distances between shapes
+        # How many of them are not distances between shapes.
+        self._smooth = 2 * len(joints) + len(self._balanced) + len(reaches)
 
     def _joints_balance_reach(self, q: Vector, poses: list[Pose]) -> Vector:
         """The conditions other than distances between shapes, shape (K, _smooth)."""
         kinematics, margins = self.manifold.body.kinematics, self.manifold.margins
         joints = q[:, kinematics.joint_q]
-        abscissa = kinematics.center_of_mass(q, poses)[:, :1]
-        lower, upper = self._balanced
+        center = kinematics.center_of_mass(q, poses)
         chart = self.chart
         rooms = [
             inverse.room(poses[link], chart.points[i], chart.branches[i]) - margins.reach
@@ -119,8 +118,7 @@ class Conditions:
             [
                 joints - (kinematics.lower + margins.joint),
                 (kinematics.upper - margins.joint) - joints,
-                abscissa - lower,
-                upper - abscissa,
+                self._balanced - center @ self.manifold.balanced.A.T,
                 *rooms,
             ],
             axis=1,

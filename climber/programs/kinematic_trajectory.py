@@ -127,7 +127,7 @@ class KinematicTrajectoryProgram:
         """Adds (4). Drake's constraint wants q and c as variables, so each sample gets its own; returns these."""
         plant = self.manifold.body.robot.plant
         relation = ComPositionConstraint(plant, None, plant.world_frame(), self._context)
-        copies = []
+        copies, balanced = [], self.manifold.balanced.ends
         for s, row in zip(self._inner, basis, strict=True):
             q, c = self.prog.NewContinuousVariables(len(self.control), "q"), self.prog.NewContinuousVariables(3, "c")
             used = np.flatnonzero(row)
@@ -136,9 +136,9 @@ class KinematicTrajectoryProgram:
                     np.append(row[used], -1.0)[None], np.zeros(1), np.append(variables[used], q[k])
                 ).evaluator().set_description(f"positions at s={s:.3f}")
             self.prog.AddConstraint(relation, np.append(q, c)).evaluator().set_description("centre of mass")
-            self.prog.AddBoundingBoxConstraint(*self.manifold.balanced, c[0]).evaluator().set_description(
-                f"centre of mass in the support interval at s={s:.3f}"
-            )
+            if len(balanced.b):
+                inside = self.prog.AddLinearConstraint(balanced.A, np.full(len(balanced.b), -np.inf), balanced.b, c)
+                inside.evaluator().set_description(f"centre of mass in the support at s={s:.3f}")
             copies.append((q, c))
         return copies
 

@@ -47,19 +47,19 @@ def distance(q: Vector, targets: Sequence[Target]) -> Vector:
 class PostureProgram:
     """The posture on one set of contacts that is nearest to some targets.
 
-    With q the positions of the plant [m, rad], p_WF_i(q) the foot of limb i and p_WC_i its contact [m], c_x(q) the
-    abscissa of the centre of mass [m], q_i the joints of limb i and e_i the one that bends [rad], and (w_k, q_k) the
+    With q the positions of the plant [m, rad], p_WF_i(q) the foot of limb i and p_WC_i its contact [m], c(q) the
+    centre of mass [m], q_i the joints of limb i and e_i the one that bends [rad], and (w_k, q_k) the
     targets:
 
         min   sum_k w_k |q - q_k|^2                                                     (1)
         s.t.  p_WF_i(q) = p_WC_i                for each holding limb i                 (2)
               q_i_lower + m <= q_i <= q_i_upper - m         for each limb i             (3)
               e_i_near <= e_i <= e_i_far        for each holding limb i                 (4)
-              c_x_lower <= c_x(q) <= c_x_upper                                          (5)
+              A c(q) <= b                                                               (5)
 
     (2) is Gönen 2021's closed-chain condition, for a planar robot in x and y only. (4) keeps a limb on its branch and
     within reach, away from where it is straight and joint rates grow without bound; a limb without inverse kinematics
-    has neither. (5) is the support interval.
+    has neither. (5) is the support, an interval in the plane and a polygon in space.
     Links may touch each other or an obstacle in a solution: `improve_posture` rejects that.
 
     The program owns the context it evaluates kinematics in; do not share one between threads.
@@ -74,7 +74,7 @@ class PostureProgram:
 
         Args:
             body: The robot.
-            manifold: The contacts, the support interval and the margins.
+            manifold: The contacts, the support and the margins.
             branches: The branch of each limb; those of limbs in the air are not used.
         """
         robot, margins = body.robot, manifold.margins
@@ -108,9 +108,10 @@ class PostureProgram:
             np.concatenate([self.q, center]),
         )
         bind.evaluator().set_description("centre of mass of the configuration")
-        self.prog.AddBoundingBoxConstraint(*manifold.balanced, center[0]).evaluator().set_description(
-            "centre of mass in the support interval"
-        )
+        balanced = manifold.balanced.ends
+        if len(balanced.b):
+            inside = self.prog.AddLinearConstraint(balanced.A, np.full(len(balanced.b), -np.inf), balanced.b, center)
+            inside.evaluator().set_description("centre of mass in the support")
         self._center, self._kinematics = center, body.kinematics
         nq = len(self.q)
         self._cost = self.prog.AddQuadraticCost(np.eye(nq), np.zeros(nq), 0.0, self.q, is_convex=True).evaluator()
