@@ -17,6 +17,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
+from climber.clearance import Clearance
 from climber.manifold import Body, Chart, Manifold
 from climber.robot import Indices
 from climber.stance import Vector
@@ -30,7 +31,7 @@ def why_apart(manifold: Manifold, a: Vector, b: Vector) -> str | None:
     """Why no path on a manifold joins two configurations on it, shape (nq,), if that can be proved; else None."""
     if manifold.rigid:
         off = a - b
-        angle = manifold.body.robot.base_q[2]
+        angle = manifold.body.robot.angle_q
         off[angle] -= 2 * np.pi * np.round(off[angle] / (2 * np.pi))
         isolated = manifold.newton_chart(a).dimension == 0
         return (
@@ -62,15 +63,18 @@ class Cells:
     def __init__(self, manifold: Manifold) -> None:
         self.manifold, self.size = manifold, 0
         chart = manifold.chart(np.zeros(manifold.body.robot.plant.num_positions()), next(iter(manifold.points)))
-        assert isinstance(chart, Chart)
+        clearance = manifold.body.clearance
+        assert isinstance(chart, Chart) and isinstance(clearance, Clearance)  # `cover` sees to it
+        self._clearance = clearance
         self._chart = chart
-        self._joint = int(chart.independent[0] == manifold.body.robot.base_q[2])  # its place among the coordinates
+        self._joint = int(chart.independent[0] == manifold.body.robot.angle_q[0])  # its place among the coordinates
         self._lower, self._upper = manifold.body.kinematics.lower[0], manifold.body.kinematics.upper[0]
 
     @staticmethod
     def cover(manifold: Manifold) -> bool:
         """Whether a manifold is of the kind that cells cover."""
-        return len(manifold.points) == 1 and len(manifold.body.kinematics.joint_q) == 1
+        one_joint = len(manifold.points) == 1 and len(manifold.body.kinematics.joint_q) == 1
+        return one_joint and manifold.body.robot.planar
 
     @classmethod
     def of(cls, manifold: Manifold) -> Cells:
@@ -138,14 +142,14 @@ class Cells:
             axis=0,
         ) * (1 + 1e-6)
         obstacles = shapely.union_all(body.wall.obstacles)
-        gap = shapely.distance(shapely.linestrings(np.stack([start, end], axis=2)), obstacles) - body.clearance.radius
+        gap = shapely.distance(shapely.linestrings(np.stack([start, end], axis=2)), obstacles) - self._clearance.radius
         return (gap < -move).any(axis=1), (gap > move).all(axis=1)
 
     def _segments(self, u: Vector) -> tuple[Vector, Vector]:
         """Both ends of all links' segments [m], shapes (K, S, 2)."""
         body = self.manifold.body
         poses = body.kinematics.poses(self._chart.expand(u)[0])
-        ends = [body.clearance.segments(i, pose) for i, pose in enumerate(poses)]
+        ends = [self._clearance.segments(i, pose) for i, pose in enumerate(poses)]
         return np.concatenate([s for s, _ in ends], axis=1), np.concatenate([e for _, e in ends], axis=1)
 
 

@@ -76,7 +76,7 @@ def _search(manifold: Manifold, a: Vector, b: Vector, rng: np.random.Generator, 
     """Configurations from a to b, each in the chart of the one before or after it."""
     robot = manifold.body.robot
     scale = np.ones(len(a))
-    scale[robot.base_q[:2]] = 2.0 / robot.reach.mean()
+    scale[robot.origin_q] = 2.0 / robot.reach.mean()
     lower, upper = np.minimum(a, b) - 0.9 / scale, np.maximum(a, b) + 0.9 / scale
     for limb in robot.limbs:
         lower[limb.q], upper[limb.q] = limb.one_turn

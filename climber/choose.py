@@ -41,12 +41,12 @@ class Candidates:
 
     Attributes:
         layers: The layers, first to last.
-        angle: Place of the pelvis's angle in the positions.
+        angle: Places of the pelvis's angles in the positions.
         barred: Phases that did not work out: (layer before, candidate there, candidate in the next layer).
     """
 
     layers: list[Layer]
-    angle: int
+    angle: Indices
     barred: set[tuple[int, int, int]] = field(default_factory=set)
 
     def costs(self, i: int) -> Vector:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from climber.clearance import inside, segment_distance
+from climber.clearance import Clearance, inside, segment_distance
 from climber.kinematics import Pose
 from climber.manifold import Body
 from climber.robot import Indices
@@ -75,7 +75,8 @@ class _Links:
     """A robot's links as thick segments of the plane."""
 
     def __init__(self, body: Body) -> None:
-        self.body, self.names = body, body.kinematics.links
+        assert isinstance(body.clearance, Clearance)  # teams are of planar robots
+        self.clearance, self.body, self.names = body.clearance, body, body.kinematics.links
         still = [Pose(np.eye(3)[None], np.zeros((1, 3)))] * len(self.names)
         # A link without a collision shape cannot be met.
         self.solid = [link for link in range(len(self.names)) if len(body.clearance.radii(link))]
@@ -91,7 +92,7 @@ class _Links:
 
     def place(self, poses: list[Pose]) -> _Placed:
         """The links at the poses of `Kinematics.poses`."""
-        ends = [self.body.clearance.segments(link, poses[link]) for link in self.solid]
+        ends = [self.clearance.segments(link, poses[link]) for link in self.solid]
         center = np.stack([(start + end).mean(axis=1) / 2 for start, end in ends], axis=1)
         points = np.concatenate([point for pair in ends for point in pair], axis=1)
         return _Placed(ends, center, np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1))

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from climber.balance import Region
-from climber.clearance import Clearance
+from climber.clearance_space import clearance_of
 from climber.dynamics import turning
 from climber.inverse import limb_inverse
 from climber.kinematics import Kinematics, Pose
@@ -63,7 +63,7 @@ class Body:
     def __init__(self, robot: Robot, wall: Wall) -> None:
         self.robot, self.wall = robot, wall
         self.kinematics = Kinematics(robot)
-        self.clearance = Clearance(self.kinematics, wall.obstacles)
+        self.clearance = clearance_of(self.kinematics, wall)
         self.inverse = tuple(
             limb_inverse(robot.planar, limb, chain)
             for limb, chain in zip(robot.limbs, self.kinematics.chains, strict=True)
@@ -243,6 +243,17 @@ class Manifold:
     def balanced(self) -> Region:
         """The support less its margin."""
         return self.support.shrunk(self.margins.balance)
+
+    def balance(self, q: Vector) -> Vector:
+        """How far the centre of mass is from every border of its support [m], shape (K, m); negative outside.
+
+        Without the margin.
+
+        Args:
+            q: Configurations, shape (K, nq).
+        """
+        result: Vector = self.support.b - self.body.kinematics.center_of_mass(q) @ self.support.A.T
+        return result
 
     @cached_property
     def global_charts(self) -> bool:

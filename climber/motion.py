@@ -184,7 +184,7 @@ class MotionPlanner:
             layers.append(Layer(arriving.contacts, arriving.q, arriving.branches, holding))
             contacts = arriving.contacts
         failure = self._keep(layers, phases, pieces)
-        return failure or (Candidates(layers, int(self.body.robot.base_q[-1])), phases)
+        return failure or (Candidates(layers, self.body.robot.angle_q), phases)
 
     def _keep(self, layers: list[Layer], phases: list[_Phase], pieces: Mapping[int, Choice]) -> EmptyPiece | None:
         """Leaves only candidates in the pieces asked for; what is missing if none is left."""

@@ -50,7 +50,7 @@ def find_path(
         Legs, each beginning in the configuration in which the one before it ends.
     """
     search = search or Search()
-    b = unwound(b, a, int(manifold.body.robot.base_q[2]))
+    b = unwound(b, a, manifold.body.robot.angle_q)
     if manifold.body.without_inverse(manifold.points):
         return _without_inverse(manifold, a, b, rng, search)
     turning = flips(manifold, a, b)

@@ -12,6 +12,7 @@ from climber.dynamics import evaluate
 from climber.manifold import Body
 from climber.path import unwound
 from climber.programs.torque import TorqueBatch, phase_torques
+from climber.robot import Indices
 from climber.scenario import Budget
 from climber.stance import Contact, Vector
 from climber.timing import PEAK, PacedPath, Samples, joined
@@ -117,12 +118,12 @@ def _sampled(paced: Sequence[PacedPath], durations: Sequence[float], rate: float
     return samples
 
 
-def chained(phases: Sequence[PhaseMotion], angle: int) -> list[PhaseMotion]:
+def chained(phases: Sequence[PhaseMotion], angle: Indices) -> list[PhaseMotion]:
     """The phases one after the other in time, the pelvis's angle continuous, and shifts on one stance made one.
 
     Args:
         phases: The phases, in order; each ends in the posture that the next one starts in.
-        angle: Place of the pelvis's angle in the positions.
+        angle: Places of the pelvis's angles in the positions.
     """
     result: list[PhaseMotion] = []
     for phase in phases:

@@ -126,6 +126,9 @@ class ClimbSearch:
         # What this robot must not enter is an obstacle to it.
         wall = wall.closing(self.spec.avoid.regions)
         self.robot = Robot(Model.load(self.spec.model, scenario.folder), wall.gravity)
+        if len(scenario.robots) > 1 and not self.robot.planar:
+            allowed = "a planar robot, as several climb"
+            raise scenario.error(f"robots[{self.index}].model", self.spec.model, allowed)
         check_against_robot(scenario, self.index, self.robot.limb_names, self.robot.joint_limits, self.robot.planar)
         self.body = Body(self.robot, wall)
         self.finder = TransitionFinder(self.body, np.random.default_rng(self.seed), Effort.of(scenario.budget))

@@ -20,7 +20,7 @@ from climber.programs.support import hold_set_intervals
 
 def rigid(body: Body) -> bool:
     """Whether contacts of all limbs leave the robot no freedom, but at singular postures."""
-    return int(body.robot.plant.num_positions()) <= 2 * len(body.robot.limbs)
+    return int(body.robot.plant.num_positions()) <= body.robot.dimension * len(body.robot.limbs)
 
 
 def with_regrasps(graph: StanceGraph, body: Body, weights: Weights) -> StanceGraph:

@@ -41,7 +41,7 @@ class _Nodes:
     def joined(self, other: _Nodes) -> _Nodes:
         return _Nodes(np.concatenate([self.q, other.q]), np.concatenate([self.branches, other.branches]))
 
-    def weights(self, other: _Nodes, angle: int) -> Vector:
+    def weights(self, other: _Nodes, angle: Indices) -> Vector:
         """Weights of the edges to other nodes, shape (N, M); inf where more than one limb bends differently."""
         here = self.q[:, None]
         length = np.linalg.norm(unwound(other.q[None], here, angle) - here, axis=2) + 1e-9
@@ -61,7 +61,7 @@ class Roadmap:
     def __init__(self, manifold: Manifold, rng: np.random.Generator, search: Search | None = None) -> None:
         self.manifold, self.search, self._rng = manifold, search or Search(), rng
         self._holding = sorted(manifold.points)
-        self._angle = int(manifold.body.robot.base_q[2])
+        self._angle = manifold.body.robot.angle_q
         q, branches, _, _ = PostureSampler(manifold.body, manifold).draw(rng, DRAWN)
         branches = branches[:, self._holding]
         chosen = spread(
@@ -139,9 +139,9 @@ class Roadmap:
             leg = self._known[_edge(pair)]
             u = leg.u if pair[0] < pair[1] else leg.u[::-1]
             # The pelvis may have turned round since.
-            turned = leg.chart.free[self._angle]
+            turned = leg.chart.free[self._angle]  # (num_angles, num_coordinates)
             first = leg.chart.expand(u[:1])[0][0]
-            leg = Leg(leg.chart, u + (unwound(first, q, self._angle) - first)[self._angle] * turned)
+            leg = Leg(leg.chart, u + (unwound(first, q, self._angle) - first)[self._angle] @ turned)
             q = leg.chart.expand(leg.u[-1:])[0][0]
             one = self._joined(result[-1], leg) if result else None
             if one is None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from climber.manifold import AnyChart, Manifold
+from climber.robot import Indices
 from climber.stance import Vector
 
 ROUNDS = 3  # how often points are put in between configurations that are far apart
@@ -48,8 +49,8 @@ class Search:
     checks: int = 150
 
 
-def unwound(q: Vector, reference: Vector, angle: int) -> Vector:
-    """`q` with the pelvis's angle (its place in q is `angle`) taken within half a turn of the reference's."""
+def unwound(q: Vector, reference: Vector, angle: Indices | int) -> Vector:
+    """`q` with the pelvis's angles (their places in q are `angle`) taken within half a turn of the reference's."""
     result = np.array(np.broadcast_to(q, np.broadcast_shapes(q.shape, reference.shape)))
     result[..., angle] -= 2 * np.pi * np.round((q[..., angle] - reference[..., angle]) / (2 * np.pi))
     return result

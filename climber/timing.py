@@ -41,28 +41,29 @@ class Samples:
 def rates(chart: AnyChart, q: Vector, du: Vector, ddu: Vector | None = None) -> tuple[Vector, Vector | None]:
     """Velocities and accelerations of the whole robot from those of the chart's coordinates.
 
-    With F and D the directions of the chart's coordinates and of what follows from them, v = F du + D y. The contacts
-    stay put, J v = 0, so that J D y = -J F du; and for accelerations F ddu + D z likewise J D z = -J F ddu - dJ/dt v.
+    With F and D the directions of the chart's coordinates and of what follows from them, q' = F du + D y. The contacts
+    stay put, J q' = 0 with J their derivative by q, so that J D y = -J F du; and for q'' = F ddu + D z likewise
+    J D z = -J F ddu - J' q'. Velocities and accelerations follow from q' and q''; in the plane they are the same.
     """
-    body = chart.body
+    body, robot = chart.body, chart.body.robot
     limbs = sorted(chart.points)
     free, tied = chart.free, chart.tied
 
     def jacobian(at: Vector) -> Vector:
-        J = body.kinematics.foot_jacobians(at, limbs)
-        return J.reshape(len(at), 2 * len(limbs), -1)
+        J = robot.by_positions(at, body.kinematics.foot_jacobians(at, limbs))
+        return J.reshape(len(at), J.shape[1] * J.shape[2], J.shape[3])
 
     J = jacobian(q)
     along = du @ free.T
-    v = along - np.linalg.solve(J @ tied, J @ along[:, :, None])[:, :, 0] @ tied.T
+    dq = along - np.linalg.solve(J @ tied, J @ along[:, :, None])[:, :, 0] @ tied.T
     if ddu is None:
-        return v, None
+        return robot.v_of(q, dq), None
     # Central difference of J along the motion, exact enough (1e-9 of its size) and the same for every robot.
     h = 1e-5
-    drift = ((jacobian(q + h * v) - jacobian(q - h * v)) @ v[:, :, None])[:, :, 0] / (2 * h)
+    drift = ((jacobian(q + h * dq) - jacobian(q - h * dq)) @ dq[:, :, None])[:, :, 0] / (2 * h)
     along = ddu @ free.T
-    vd = along - np.linalg.solve(J @ tied, J @ along[:, :, None] + drift[:, :, None])[:, :, 0] @ tied.T
-    return v, vd
+    ddq = along - np.linalg.solve(J @ tied, J @ along[:, :, None] + drift[:, :, None])[:, :, 0] @ tied.T
+    return robot.v_of(q, dq), robot.vd_of(q, dq, ddq)
 
 
 class PacedPath:

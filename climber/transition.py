@@ -223,7 +223,7 @@ def find_transition(
     touching = support_of(body, ordered)
     name = body.robot.limbs[limb].name
     # A proof must hold wherever on their patches the feet stand, not only where they do.
-    spare = max(body.wall.holds[c.hold].half_width + abs(c.offset) for c in ordered)
+    spare = max(body.wall.holds[c.hold].half_width + np.hypot(c.offset, c.across) for c in ordered)
     if holding is None or touching is None:
         who = f"the limbs other than {name}" if holding is None else "all limbs"
         return Postures(ordered, *empty, Failure("proved", f"no forces of {who} balance gravity"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,12 +10,14 @@ from typing import Literal
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from climber.manifold import Body, Manifold, Margins
 from climber.programs.torque import static_feasible
 from climber.scenario import Budget
-from climber.stance import Contact, Move
+from climber.solids import Solid
+from climber.stance import Contact, Move, Vector
 from climber.transition import Failure, Postures, find_transition, posture_sampler, support_of
 
 Stage = Literal["transition", "motion", "torque"]
@@ -118,8 +121,11 @@ class TransitionFinder:
         if found.failure is not None and found.failure.kind == "proved":  # wherever on the patch
             return found
         first = found
-        for share in (1.0, -1.0, 0.5, -0.5):
-            found = self.transition(ordered((*support, replace(centre, offset=share * half_width))), limb)
+        # In space a patch is a disk, in the plane a segment.
+        ways = ((1.0, 0.0),) if self.body.robot.planar else ((1.0, 0.0), (0.0, 1.0))
+        for share, (along, across) in itertools.product((1.0, -1.0, 0.5, -0.5), ways):
+            moved = replace(centre, offset=share * half_width * along, across=share * half_width * across)
+            found = self.transition(ordered((*support, moved)), limb)
             if len(found):
                 return found
         assert first.failure is not None
@@ -155,8 +161,8 @@ class TransitionFinder:
         support = support_of(self.body, contacts)
         return None if support is None else Manifold(self.body, contacts, support, self.margins)
 
-    def standing(self, contacts: tuple[Contact, ...], region: BaseGeometry | None = None) -> Postures:
-        """Postures at rest on all contacts, with the pelvis's origin in a region of the wall plane if one is given."""
+    def standing(self, contacts: tuple[Contact, ...], region: BaseGeometry | Solid | None = None) -> Postures:
+        """Postures at rest on all contacts, with the pelvis's origin in a region if one is given."""
         empty = Postures(contacts, np.zeros((0, 0)), np.zeros((0, 0), dtype=np.int64), np.zeros(0))
         manifold = self.manifold(contacts)
         if manifold is None:
@@ -167,7 +173,7 @@ class TransitionFinder:
         for count in self.effort.rounds:
             q, branches, slack, _ = sampler.draw(self.rng, count)
             if region is not None and len(q):
-                inside = shapely.contains_xy(region, *q[:, self.body.robot.base_q[:2]].T)
+                inside = _within(region, q[:, self.body.robot.origin_q])
                 q, branches, slack = q[inside], branches[inside], slack[inside]
             if len(q):
                 best = np.argsort(-slack)[: self.effort.postures]
@@ -178,6 +184,13 @@ class TransitionFinder:
         return replace(
             empty, failure=Failure("budget", f"no posture{where} among {sum(self.effort.rounds)} pelvis poses")
         )
+
+
+def _within(region: BaseGeometry | Solid, points: Vector) -> NDArray[np.bool_]:
+    """Which points [m], shape (K, 2) or (K, 3), lie in a region."""
+    if isinstance(region, BaseGeometry):
+        return np.asarray(shapely.contains_xy(region, *points[:, :2].T))
+    return np.asarray(region.distance(points) <= 0.0)
 
 
 def ordered(contacts: Sequence[Contact] | set[Contact]) -> tuple[Contact, ...]:

@@ -16,7 +16,8 @@ from climber.clearance import segment_distance
 from climber.curve import Curve, clamped_knots, greville, joint_length, polyline_lengths, rounded, smooth
 from climber.manifold import Body, Chart, Manifold, Margins
 from climber.path import Search, find_path, flips
-from climber.programs.conditions import Conditions, closest
+from climber.programs.conditions import Conditions
+from climber.programs.gaps import closest
 from climber.programs.kinematic_trajectory import KinematicTrajectoryProgram
 from climber.programs.trajectory import ChartProgram, minimise, refine
 from climber.robot import Robot
