@@ -113,7 +113,8 @@ def _sampled(paced: Sequence[PacedPath], durations: Sequence[float], rate: float
         counts = [finer * max(FEWEST, int(np.ceil(d * rate))) + 1 for d in durations]
         pieces = [path.samples(d, count) for path, d, count in zip(paced, durations, counts, strict=True)]
         samples = joined(pieces)
-        if max(float(error.max(initial=0.0)) for error in drift(samples)) <= TELLING:
+        rates = paced[0].chart.body.robot.rates(samples.q, samples.v, samples.vd)
+        if max(float(error.max(initial=0.0)) for error in drift(samples, rates)) <= TELLING:
             break
     return samples
 

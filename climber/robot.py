@@ -286,6 +286,11 @@ class Robot:
             result[..., self.angle_q] = rates.reshape(*v.shape[:-1], 3)
         return result
 
+    def rates(self, q: Vector, v: Vector, vd: Vector) -> tuple[Vector, Vector]:
+        """First and second derivatives of the positions by time for velocities and accelerations, shapes (..., nq)."""
+        qdot = self.qdot(q, v)
+        return qdot, self.qdot(q, vd - self.vd_of(q, qdot, np.zeros_like(qdot)))
+
     def by_positions(self, q: Vector, J: Vector) -> Vector:
         """Jacobians by the rates of the positions, J E(q), from those by velocities.
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from climber import floating
 from climber.planar_bases import ROUNDING, enclosing_circles
@@ -80,8 +79,9 @@ class SpaceBases:
         spin = np.angle(turn) + SPIN * rng.normal(size=count)
         anyhow = (rng.random(count) < ANYHOW) | (np.abs(turn) < ROUNDING)
         spin = np.where(anyhow, 2 * np.pi * rng.random(count), spin)
-        result: Vector = R @ Rotation.from_euler("z", spin).as_matrix().reshape(-1, 3, 3)
-        return result
+        sin, cos = np.sin(spin)[:, None], np.cos(spin)[:, None]
+        x, y, z = R[..., 0], R[..., 1], R[..., 2]
+        return np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=2)
 
     def draw(self, rng: np.random.Generator, count: int) -> Vector:
         """Draws base positions, shape (count, 6), or (0, 6) where there are none."""

@@ -79,7 +79,10 @@ def test_accelerations_are_the_change_of_velocities(seed: int) -> None:
     q, qdot = states(seed)
     qddot, h = np.random.default_rng(seed).uniform(-2, 2, q.shape), 1e-5
     before, after = (LEMUR.v_of(q + t * qdot + t**2 / 2 * qddot, qdot + t * qddot) for t in (-h, h))
-    assert LEMUR.vd_of(q, qdot, qddot) == pytest.approx((after - before) / (2 * h), abs=1e-7)
+    vd = LEMUR.vd_of(q, qdot, qddot)
+    assert vd == pytest.approx((after - before) / (2 * h), abs=1e-7)
+    first, second = LEMUR.rates(q, LEMUR.v_of(q, qdot), vd)
+    assert first == pytest.approx(qdot, abs=1e-11) and second == pytest.approx(qddot, abs=1e-10)
 
 
 @given(seeds)
