@@ -67,8 +67,8 @@ def _robot(scenario: Scenario, number: int, plan: RobotPlan, wall: Wall, source:
     if plan.model != scenario.robots[number].model:
         raise PlanFileError(f"{at}.model: the scenario says {scenario.robots[number].model} (given: {plan.model})")
     robot = Robot(Model.load(plan.model, scenario.folder), wall.gravity)
-    if not (robot.planar and Tree(robot).is_planar()):
-        raise ModelError(f"{robot.model.path}: verify checks robots that move in the wall plane; this one leaves it")
+    if robot.planar and not Tree(robot).is_planar():
+        raise ModelError(f"{robot.model.path}: the pelvis stays in the wall plane and its limbs leave it; let it float")
     try:
         check_against_robot(scenario, number, robot.limb_names, robot.joint_limits, robot.planar)
     except ScenarioError as error:
@@ -90,6 +90,6 @@ def _robot(scenario: Scenario, number: int, plan: RobotPlan, wall: Wall, source:
     for where, hold in used.items():
         if hold >= count:
             raise PlanFileError(f"{at}.{where}: the wall has {count} holds, numbered from 0 (given: {hold})")
-        if abs(wall.normals[hold][2]) > LENGTH:
-            raise PlanFileError(f"{at}.{where}: hold {hold} leans out of the wall plane, where its cone is not planar")
+        if robot.planar and abs(wall.normals[hold][2]) > LENGTH:
+            raise PlanFileError(f"{at}.{where}: hold {hold} leans out of the plane in which {plan.name} moves")
     return robot

@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from climber.plan_file import Phase, RobotPlan
 from climber.robot import Robot
 from climber.scenario import RobotSpec
+from climber.solids import Solid
 from climber.stance import Vector
 from climber.verdict import Ledger
-from climber.verify_clearance import DrakeClearance, Outlines
+from climber.verify_clearance import Outlines
 from climber.verify_equilibrium import Grip, Support, support_interval
 from climber.verify_model import DrakeModel, Poses, Tree
 from climber.verify_rules import BETWEEN
+from climber.verify_scene import DrakeClearance
+from climber.verify_space import SpaceClearance
 from climber.wall import Wall
 
 # How far sampled derivatives may be from those that finite differences give; see `drift`.
@@ -100,10 +103,15 @@ class MotionChecks:
         self._robot, self._wall, self._plan, self._ledger = robot, wall, plan, ledger
         self._tree = Tree(robot)
         self._drake = DrakeModel(robot)
-        regions = [(f"obstacle {i}", outline) for i, outline in enumerate(wall.obstacles)]
-        regions += [(f"avoided region {i}", region.outline()) for i, region in enumerate(spec.avoid.regions)]
-        self._outlines = Outlines(robot, regions)
-        self._drake_clearance = DrakeClearance(robot, regions)
+        flat = [(f"obstacle {i}", outline) for i, outline in enumerate(wall.obstacles)]
+        avoided = [(f"avoided region {i}", region) for i, region in enumerate(spec.avoid.regions)]
+        flat += [(name, region.outline()) for name, region in avoided if region.solid is None]
+        solid: list[tuple[str, Solid]] = [(f"facet {i}", facet.solid) for i, facet in enumerate(wall.facets)]
+        solid += [(f"solid {i}", solid) for i, solid in enumerate(wall.solids)]
+        solid += [(name, region.solid) for name, region in avoided if region.solid is not None]
+        self._outlines = Outlines(robot, flat) if robot.planar else None
+        self._space = None if robot.planar else SpaceClearance(robot, [*flat, *solid])
+        self._drake_clearance = DrakeClearance(robot, flat if robot.planar else [*flat, *solid])
         self._grips = [Grip.of(hold) for hold in wall.holds]
         self._supports: dict[tuple[tuple[int, tuple[float, ...]], ...], Support] = {}
 
@@ -119,7 +127,7 @@ class MotionChecks:
             rates, _ = self._tree.rates(motion.q, motion.v, motion.vd)
             self._contacts(number, phase, motion, feet)
             self._limits(number, motion)
-            self._touching(number, motion, poses)
+            self._touching(number, samples, motion, poses)
             self._equilibrium(number, phase, motion, center)
             self._forces(number, phase, motion)
             self._dynamics(number, motion, required)
@@ -162,17 +170,20 @@ class MotionChecks:
         self._note("speed limits", number, motion.time, np.abs(motion.v[:, self._robot.joint_v]) - fastest, names)
         self._note("torque limits", number, motion.time, np.abs(motion.torque) - self._robot.effort, names)
 
-    def _touching(self, number: int, motion: Motion, poses: Poses) -> None:
-        """Nothing touches that should not, by outlines at every instant and by Drake at the samples."""
+    def _touching(self, number: int, samples: Motion, motion: Motion, poses: Poses) -> None:
+        """Nothing touches that should not: by outlines in the plane, by all steps in space, by Drake at the samples."""
         checks = ("self clearance", "obstacle clearance")
-        for name, found in zip(checks, self._outlines.measure(poses), strict=True):
-            self._note(name, number, motion.time, found.values, found.pairs)
-        at = np.flatnonzero(motion.sampled)
-        nearest = [self._drake_clearance.nearest(motion.q[k]) for k in at]
+        if self._outlines is not None:
+            for name, found in zip(checks, self._outlines.measure(poses), strict=True):
+                self._note(name, number, motion.time, found.values, found.pairs)
+        if self._space is not None:
+            for name, least in zip(checks, self._space.least(samples.time, samples.q), strict=True):
+                self._note(name, number, np.array([least.time]), np.array([least.value]), [least.pair])
+        nearest = [self._drake_clearance.nearest(q) for q in samples.q]
         for which, name in enumerate(checks):
             distance = np.array([pair[which][0] for pair in nearest])
             place = int(np.argmin(distance))
-            self._note(name, number, motion.time[at[[place]]], distance[[place]], [nearest[place][which][1]])
+            self._note(name, number, samples.time[[place]], distance[[place]], [nearest[place][which][1]])
 
     def _support(self, phase: Phase) -> Support:
         """The support interval of a phase's contacts, from one pair of programs for each distinct set of them."""

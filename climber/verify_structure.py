@@ -110,8 +110,8 @@ class StructureChecks:
             self._ledger.note("goal pelvis", np.array([outside]), [f"{plan.name}, the end"])
 
     def _pelvis(self, number: int) -> Vector:
-        """The pelvis's origin in the wall plane at each sample of a phase [m], shape (N, 2)."""
-        return self._tree.pelvis(self._tree.poses(self._samples[number].q))[:, :2]
+        """The pelvis's origin in W at each sample of a phase [m], shape (N, 3)."""
+        return self._tree.pelvis(self._tree.poses(self._samples[number].q))
 
     def _waypoints(self) -> None:
         """Each waypoint is met at rest with all limbs on; in the given order, the next one not before it."""
@@ -149,7 +149,8 @@ class StructureChecks:
     def _limb_order(self) -> None:
         """In limb order the feet of each stance make a convex polygon, counter-clockwise (Gönen eqs 4.6).
 
-        The turns at the corners of such a polygon are to the left and add up to one full turn.
+        The turns at the corners of such a polygon are to the left and add up to one full turn. Feet in space are seen
+        against the way that the wall faces where they stand.
         """
         for number, stance in enumerate(self._plan.stances):
             feet = self._stood_on(number, stance)
@@ -165,12 +166,20 @@ class StructureChecks:
             self._ledger.note("limb order", turns, [f"{at}, {limb}" for limb in np.roll(self._plan.limbs, -1)])
 
     def _stood_on(self, number: int, stance: dict[str, int]) -> Vector:
-        """Where the feet of a stance are in the wall plane, in limb order [m], shape (num_limbs, 2)."""
+        """Where the feet of a stance are seen, x to the right, in limb order [m], shape (num_limbs, 2)."""
         feet = {limb: self._wall.positions[hold] for limb, hold in stance.items()}
         for phase in self._plan.phases:
             if phase.stance == number and phase.kind == "shift":
                 feet |= {contact.limb: contact.point for contact in phase.contacts}
-        return np.array([feet[limb][:2] for limb in self._plan.limbs])
+        points = np.array([feet[limb] for limb in self._plan.limbs])
+        if self._robot.planar:
+            return points[:, :2]
+        toward = self._wall.facing(np.array(list(stance.values())))
+        # Which way is up does not change how the feet turn.
+        x = np.cross([0.0, 1.0, 0.0] if abs(toward[1]) < 0.9 else [0.0, 0.0, -1.0], toward)
+        x = x / np.linalg.norm(x)
+        seen: Vector = points @ np.stack([x, np.cross(toward, x)], axis=1)
+        return seen
 
     def _joints_between_phases(self) -> None:
         """Each phase goes on where the one before it stopped, and begins and ends at rest."""
@@ -192,7 +201,7 @@ class StructureChecks:
             points = {contact.limb: contact.point for contact in phase.contacts}
             for contact in phase.contacts:
                 at = f"{self._at(number)}, {contact.limb} on hold {contact.hold}"
-                off = np.array([_off_patch(self._wall, contact.hold, contact.point)])
+                off = np.array([_off_patch(self._wall, contact.hold, contact.point, self._robot.planar)])
                 self._ledger.note("patches", off, [at])
                 if contact.limb in before:
                     moved = np.array([np.linalg.norm(contact.point - before[contact.limb])])
@@ -207,9 +216,13 @@ def _stands(place: Place, stance: dict[str, int]) -> bool:
     )
 
 
-def _off_patch(wall: Wall, hold: int, point: Vector) -> float:
-    """Distance of a point from a hold's patch, a segment along the hold's tangent [m]."""
+def _off_patch(wall: Wall, hold: int, point: Vector, planar: bool) -> float:
+    """Distance of a point from a hold's patch [m]: a disk across the normal, to planar robots its part in the plane."""
     from_center = point - wall.positions[hold]
-    along = float(from_center @ wall.tangents[hold])
-    reach = wall.holds[hold].half_width
-    return float(np.linalg.norm(from_center - np.clip(along, -reach, reach) * wall.tangents[hold]))
+    height = float(from_center @ wall.normals[hold])
+    across = from_center - height * wall.normals[hold]
+    if planar:
+        across = float(from_center @ wall.tangents[hold]) * wall.tangents[hold]
+    length = float(np.linalg.norm(across))
+    nearest = across * min(1.0, wall.holds[hold].half_width / length) if length > 0.0 else across
+    return float(np.linalg.norm(from_center - nearest))

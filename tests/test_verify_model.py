@@ -15,7 +15,8 @@ from shapely.geometry import LineString, Point, Polygon, box
 from climber.exceptions import ModelError
 from climber.robot import Model, Robot
 from climber.stance import Vector
-from climber.verify_clearance import FAR, NUDGES, DrakeClearance, Outlines, convex_pieces
+from climber.verify_clearance import Outlines
+from climber.verify_scene import FAR, NUDGES, DrakeClearance, convex_pieces
 from climber.verify_model import DrakeModel, Tree
 from climber.verify_motion import Motion, drift
 
