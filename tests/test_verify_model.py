@@ -16,9 +16,9 @@ from climber.exceptions import ModelError
 from climber.robot import Model, Robot
 from climber.stance import Vector
 from climber.verify_clearance import Outlines
-from climber.verify_scene import FAR, NUDGES, DrakeClearance, convex_pieces
 from climber.verify_model import DrakeModel, Tree
 from climber.verify_motion import Motion, drift
+from climber.verify_scene import FAR, NUDGES, DrakeClearance, convex_pieces
 
 # A robot with nothing in its place: welded links, skew frames, masses off their frames, geared and
 # damped joints, three joints in one limb and one in the other.
