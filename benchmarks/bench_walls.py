@@ -17,11 +17,12 @@ import numpy as np
 from benchmarks.rows import Row
 from climber.graph import build_stance_graph
 from climber.prune import impossible_moves
-from climber.random_wall import Recipe, make_wall
+from climber.random_wall import Recipe
 from climber.robot import Model, Robot
 from climber.scenario import load_scenario
 from climber.stance import Stance
 from climber.task import TaskPlan, TaskPlanner
+from climber.wall_kinds import make_wall
 
 TARGET_GRAPH, TARGET_MEMORY, TARGET_TASK = 5.0, 1.0, 5.0  # [s], [GB], [s], all on a thousand holds
 

@@ -19,12 +19,13 @@ from climber.manifold import Body
 from climber.poses import Rotations, find_poses
 from climber.programs.support import hold_set_intervals
 from climber.prune import distances, impossible_moves, out_of_reach
-from climber.random_wall import Recipe, hold_defaults, hold_specs, make_wall
+from climber.random_wall import Recipe, hold_defaults
 from climber.robot import Model, Robot
 from climber.scenario_fields import CircleSpec, CostWeights, RegionSpec
 from climber.stance import Contact, Stance, Vector
 from climber.transition import Postures
 from climber.transitions import TransitionFinder
+from climber.wall_kinds import facet_specs, hold_specs, make_wall, off_problem
 
 NEIGHBOURS = 24  # holds around a place that stances there are made of
 TRIES = 12  # stances that can be held, tried at most at either end
@@ -139,13 +140,11 @@ def scenario_text(recipe: Recipe, model: str, climb: RandomClimb, name: str, mad
         name: The scenario's name.
         made_by: The command that makes this file, for the comment on top.
     """
-    width, height = recipe.size
     defaults = hold_defaults(recipe)
     lines = [
         f"# Made by: {made_by}",
         f"name: {name}",
-        f"description: {recipe.holds} holds at random, {recipe.density:g} to the square metre, on {width:.2f} m x "
-        f"{height:.2f} m; at least {climb.moves} moves from bottom to top.",
+        f"description: {_what(recipe)}; at least {climb.moves} moves from bottom to top.",
         f"seed: {recipe.seed}",
         "wall:",
         f"  inclination_deg: {recipe.inclination_deg!r}",
@@ -157,6 +156,9 @@ def scenario_text(recipe: Recipe, model: str, climb: RandomClimb, name: str, mad
         f"  - {{position: {spec.position}, normal: {spec.normal}, friction: {spec.friction}}}  # {number}"
         for number, spec in enumerate(hold_specs(recipe))
     ]
+    facets = facet_specs(recipe)
+    if facets:
+        lines += ["  facets:", *(f"  - {{corners: {facet.corners}, thickness: {facet.thickness}}}" for facet in facets)]
     start = ", ".join(f"{limb}: {hold}" for limb, hold in climb.start.items())
     lines += [
         "robots:",
@@ -165,6 +167,21 @@ def scenario_text(recipe: Recipe, model: str, climb: RandomClimb, name: str, mad
         f"  start: {{{start}}}",
         "  goal:",
         f"    pelvis: {{circle: {{center: {climb.goal.center}, radius: {climb.goal.radius}}}}}",
+        *([f"  avoid: {{holds: {barred}}}  # these are not of the problem"] if (barred := off_problem(recipe)) else []),
         f"budget: {{time_limit_s: {SECONDS + recipe.holds // 2}}}",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _what(recipe: Recipe) -> str:
+    """The wall in words."""
+    width, height = recipe.size
+    if recipe.kind == "board":
+        return f"A board that leans {recipe.inclination_deg - 90.0:g} degrees past vertical, with a problem set on it"
+    if recipe.kind == "chimney":
+        return f"{recipe.holds} holds in a chimney {width:.2f} m wide and {height:.2f} m high"
+    place = {"plane": "", "inside_corner": " of an inside corner", "outside_corner": " of an outside corner"}
+    return (
+        f"{recipe.holds} holds at random, {recipe.density:g} to the square metre, on {width:.2f} m x "
+        f"{height:.2f} m{place.get(recipe.kind, '')}"
+    )

@@ -16,9 +16,9 @@ from scipy.spatial import cKDTree
 from climber.exceptions import ClimberError
 from climber.scenario_fields import HoldDefaults, HoldSpec
 from climber.stance import Vector
-from climber.wall import Wall
 
 DIGITS = 4  # positions are surveyed to a tenth of a millimetre
+NORMAL_DIGITS = 6
 FULL = 0.547  # of the area, where random sequential adsorption of discs comes to an end
 PATIENCE = 2_000  # volleys of darts without a single hit before the wall counts as full
 
@@ -60,6 +60,12 @@ class Recipe:
         min_force: Least force along each edge of the friction cone [N].
         max_force: Greatest force along each edge of the friction cone [N].
         inclination_deg: 90 is vertical, less is a slab [degrees].
+        kind: "plane" is a wall of planar robots; the others, walls in space, are those of `climber.wall_kinds`.
+        incut: How far holds are turned into the wall from facing straight against gravity [degrees]; in space only.
+        standoff: How far holds stick out of the surface of a wall in space [m].
+        angle_deg: Between the two sides of a corner, on its outer side 360 less that [degrees].
+        gap: Between the holds on the two sides of a chimney [m].
+        problem: How many holds of each row of a board belong to the problem set on it.
     """
 
     holds: int = 100
@@ -73,11 +79,19 @@ class Recipe:
     min_force: float = 0.5
     max_force: float = 20.0
     inclination_deg: float = 90.0
+    kind: str = "plane"
+    incut: Spread = Spread(0.0, 0.0, -90.0, 90.0)
+    standoff: float = 0.04
+    angle_deg: float = 140.0
+    gap: float = 0.7
+    problem: int = 4
 
     @property
     def size(self) -> tuple[float, float]:
-        """Width and height of the wall [m]."""
+        """Width and height of the wall, both sides of a corner together [m]; a chimney is as wide as its gap."""
         area = self.holds / self.density
+        if self.kind == "chimney":
+            return self.gap, area / self.gap
         return math.sqrt(area / self.aspect), math.sqrt(area * self.aspect)
 
     def check(self) -> None:
@@ -88,13 +102,14 @@ class Recipe:
                 raise ClimberError(f"{name} is {value}; allowed: greater than 0")
         at_least = {"seed": self.seed, "spacing": self.spacing, "half_width": self.half_width}
         at_least |= {"min_force": self.min_force, "friction deviation": self.friction.deviation}
+        at_least |= {"incut deviation": self.incut.deviation}
         at_least |= {"slope deviation": self.slope.deviation, "least friction": self.friction.lower}
         for name, value in at_least.items():
             if not 0 <= value < math.inf:
                 raise ClimberError(f"{name} is {value}; allowed: 0 or greater")
         if self.min_force > self.max_force:
             raise ClimberError(f"min_force is {self.min_force:g} N; allowed: at most max_force, {self.max_force:g} N")
-        for name, spread in (("friction", self.friction), ("slope", self.slope)):
+        for name, spread in (("friction", self.friction), ("slope", self.slope), ("incut", self.incut)):
             if not math.isfinite(spread.mean) or not -math.inf < spread.lower <= spread.upper < math.inf:
                 raise ClimberError(
                     f"{name} is clipped to {spread.lower:g} ... {spread.upper:g}; allowed: low, then high"
@@ -111,7 +126,7 @@ class Recipe:
         N <= (2 / sqrt 3) A / d^2 + P / (2 d) + 1     with its area A and perimeter P.
         """  # noqa: D415 - ends with the formula
         width, height = self.size
-        if self.spacing == 0.0:
+        if self.spacing == 0.0 or self.kind == "board":
             return
         across, up = width / self.spacing, height / self.spacing
         most = 2.0 / math.sqrt(3.0) * across * up + across + up + 1.0
@@ -125,15 +140,32 @@ class Recipe:
 def scatter(rng: np.random.Generator, recipe: Recipe) -> Vector:
     """Places holds on the wall, whose lower edge is from (0, 0) to (width, 0).
 
-    Darts come in volleys; of those too close to one another the earliest stays, as if they had come one by one.
-
     Returns:
         Positions [m] to `DIGITS` decimals, the lowest first, shape (holds, 2).
 
     Raises:
         ClimberError: If they do not fit.
     """
-    count, spacing, size = recipe.holds, recipe.spacing, np.array(recipe.size)
+    return throw(rng, recipe.holds, recipe.size, recipe.spacing)
+
+
+def throw(rng: np.random.Generator, count: int, size: tuple[float, float], spacing: float) -> Vector:
+    """Places points in a rectangle, whose lower edge is from (0, 0) to (width, 0).
+
+    Darts come in volleys; of those too close to one another the earliest stays, as if they had come one by one.
+
+    Args:
+        rng: Source of random numbers.
+        count: Number of points.
+        size: Width and height of the rectangle [m].
+        spacing: No two points are closer than this [m].
+
+    Returns:
+        Positions [m] to `DIGITS` decimals, the lowest first, shape (count, 2).
+
+    Raises:
+        ClimberError: If they do not fit.
+    """
     points = np.zeros((0, 2))
     missed = 0
     while len(points) < count:
@@ -150,9 +182,9 @@ def scatter(rng: np.random.Generator, recipe: Recipe) -> Vector:
                     alone[second] = False
         missed = 0 if alone.any() else missed + 1
         if missed > PATIENCE:
-            covered = len(points) * math.pi * spacing**2 / 4.0 / float(size.prod())
+            covered = len(points) * math.pi * spacing**2 / 4.0 / float(np.prod(size))
             raise ClimberError(
-                f"only {len(points)} of {count} holds found a place {recipe.spacing:g} m from all others, which fills "
+                f"only {len(points)} of {count} holds found a place {spacing:g} m from all others, which fills "
                 f"{100 * covered:.0f} % of the wall; large random walls are full at {100 * FULL:.0f} %: "
                 f"take a smaller density or spacing"
             )
@@ -160,18 +192,17 @@ def scatter(rng: np.random.Generator, recipe: Recipe) -> Vector:
     return points[np.lexsort(points.T)]
 
 
-def hold_specs(recipe: Recipe) -> list[HoldSpec]:
-    """The holds of a recipe's wall, in few digits, as a scenario file has them; the rest is in `hold_defaults`.
+def plane_holds(recipe: Recipe) -> list[HoldSpec]:
+    """The holds of a wall of planar robots, in few digits, as a scenario file has them.
 
     Raises:
-        ClimberError: If no wall can be made by it.
+        ClimberError: If they do not fit.
     """
-    recipe.check()
     rng = np.random.default_rng(recipe.seed)
     points = scatter(rng, recipe)
     slope = np.radians(recipe.slope.draw(rng, recipe.holds))
     friction = np.round(recipe.friction.draw(rng, recipe.holds), 3)
-    normals = np.round(np.stack([-np.sin(slope), np.cos(slope)], axis=1), 6)
+    normals = np.round(np.stack([-np.sin(slope), np.cos(slope)], axis=1), NORMAL_DIGITS)
     return [
         HoldSpec(position=p, normal=n, friction=f)
         for p, n, f in zip(points.tolist(), normals.tolist(), friction.tolist(), strict=True)
@@ -181,14 +212,3 @@ def hold_specs(recipe: Recipe) -> list[HoldSpec]:
 def hold_defaults(recipe: Recipe) -> HoldDefaults:
     """What the holds of a recipe's wall have in common."""
     return HoldDefaults(half_width=recipe.half_width, min_force=recipe.min_force, max_force=recipe.max_force)
-
-
-def make_wall(recipe: Recipe) -> Wall:
-    """The wall of a recipe.
-
-    Raises:
-        ClimberError: If no wall can be made by it.
-    """
-    defaults = hold_defaults(recipe)
-    holds = tuple(spec.build(defaults) for spec in hold_specs(recipe))
-    return Wall(holds, inclination_deg=recipe.inclination_deg)

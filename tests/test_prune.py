@@ -16,13 +16,14 @@ from climber.manifold import Body, Manifold, Margins
 from climber.prune import distances, impossible_moves, out_of_reach
 from climber.prune_balance import MassBounds, transition_intervals
 from climber.random_scenario import find_climb
-from climber.random_wall import Recipe, make_wall
+from climber.random_wall import Recipe
 from climber.robot import Robot
 from climber.scenario import load_scenario
 from climber.stance import Contact, Stance
 from climber.transition import PostureSampler, find_transition, support_of
 from climber.wall import Hold, Wall
 from climber.wall_command import MODEL
+from climber.wall_kinds import make_wall
 
 NO_MARGINS = Margins(reach=0.0, joint=0.0, clearance=0.0, balance=0.0)
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +18,14 @@ from climber.cli import main
 from climber.exceptions import ClimberError
 from climber.graph import build_stance_graph
 from climber.manifold import Body
-from climber.random_scenario import find_climb, scenario_text
-from climber.random_wall import Recipe, Spread, hold_specs, make_wall, scatter
+from climber.random_scenario import RandomClimb, find_climb, scenario_text
+from climber.random_wall import Recipe, Spread, scatter
 from climber.robot import Robot
-from climber.scenario import load_scenario, scenario_from_text
+from climber.scenario import CircleSpec, load_scenario, scenario_from_text
 from climber.stance import Contact, Stance
 from climber.transitions import TransitionFinder
-from climber.wall_command import MODEL
+from climber.wall_command import MODEL, SPACE_MODEL, add_wall_command, recipe_of
+from climber.wall_kinds import KINDS, hold_specs, make_wall, off_problem
 
 recipes = st.builds(
     Recipe,
@@ -150,7 +153,7 @@ def test_the_command_writes_the_same_scenario_again_and_says_how(tmp_path: Path,
     text = (tmp_path / "a" / "forty.yaml").read_text()
     assert text == (tmp_path / "b" / "forty.yaml").read_text()
     assert text.startswith(
-        "# Made by: climber wall --holds 40 --seed 2 --friction 0.7 0.05 --half-width 0 --out forty.yaml\n"
+        "# Made by: climber wall --holds 40 --seed 2 --half-width 0 --friction 0.7 0.05 --out forty.yaml\n"
     )
     facts = json.loads(capsys.readouterr().out.splitlines()[0])
     scenario = load_scenario(tmp_path / "a" / "forty.yaml")
@@ -188,3 +191,132 @@ def test_the_walls_that_come_along_are_what_the_command_on_top_makes(number: int
     recipe = Recipe(holds=number, seed=seed, half_width=0.0)
     assert scenario.wall.holds == hold_specs(recipe)
     assert len(scenario.source) < 1_000_000
+
+
+# Walls in space
+
+SPACE_KINDS = sorted(set(KINDS) - {"plane"})
+
+
+def space_recipe(kind: str, seed: int = 0) -> Recipe:
+    return replace(KINDS[kind], seed=seed) if kind == "board" else replace(KINDS[kind], seed=seed, holds=60)
+
+
+@pytest.mark.parametrize("kind", SPACE_KINDS)
+@settings(deadline=None, max_examples=5)
+@given(seed=st.integers(0, 10_000))
+def test_holds_of_a_wall_in_space_stick_out_of_its_surface(kind: str, seed: int) -> None:
+    recipe = space_recipe(kind, seed)
+    wall = make_wall(recipe)
+    assert len(wall.holds) == recipe.holds
+    np.testing.assert_allclose(np.linalg.norm(wall.normals, axis=1), 1.0, atol=1e-12)
+    away = np.array([facet.solid.distance(wall.positions) for facet in wall.facets])
+    assert recipe.standoff - 2e-4 <= away.min()
+    assert away.min(axis=0).max() <= 1.05 * recipe.standoff  # a little more beside the edge of an outside corner
+    assert (np.diff(wall.positions[:, 1]) >= 0).all()  # the lowest first
+    assert wall == make_wall(recipe) != make_wall(replace(recipe, seed=seed + 1))
+
+
+@pytest.mark.parametrize("kind", ["slab", "vertical", "overhang", "inside_corner", "outside_corner", "board"])
+def test_holds_are_ledges_turned_into_the_wall_by_their_incut(kind: str) -> None:
+    recipe = replace(space_recipe(kind), slope=Spread(0.0, 0.0, 0.0, 0.0), incut=Spread(10.0, 0.0, 0.0, 90.0))
+    wall = make_wall(recipe)
+    against_gravity = -wall.gravity / np.linalg.norm(wall.gravity)
+    np.testing.assert_allclose(wall.normals @ against_gravity, np.cos(np.radians(10.0)), atol=1e-5)
+    level = make_wall(replace(recipe, incut=Spread(0.0, 0.0, 0.0, 0.0)))
+    np.testing.assert_allclose(level.normals, np.broadcast_to(against_gravity, level.normals.shape), atol=2e-6)
+    # Incut is towards the rock.
+    assert ((wall.normals - level.normals) * wall.outward).sum(axis=1).max() < -0.05
+
+
+def test_holds_of_a_chimney_only_bear_what_presses_outward() -> None:
+    wall = make_wall(space_recipe("chimney"))
+    left = wall.positions[:, 0] < 0.35
+    assert left.sum() == 30
+    np.testing.assert_allclose(wall.positions[:, 0], np.where(left, 0.0, 0.7), atol=1e-9)
+    np.testing.assert_allclose(wall.outward, np.where(left, 1.0, -1.0)[:, None] * [1.0, 0.0, 0.0], atol=1e-9)
+    assert (wall.normals * wall.outward).sum(axis=1).min() > np.cos(np.radians(10.1))
+    assert np.abs(wall.positions[:, 2]).max() <= 0.06 + 1e-9
+
+
+def test_corners_have_the_angle_that_is_asked_for_and_meet_in_an_edge() -> None:
+    for kind in ("inside_corner", "outside_corner"):
+        left, right = make_wall(replace(space_recipe(kind), angle_deg=120.0)).facets
+        assert float(left.normal @ right.normal) == pytest.approx(0.5, abs=1e-5)
+        shared = set(left.corners) & set(right.corners)
+        assert len(shared) == 2
+        # Inside, the sides face one another.
+        between = np.mean(right.corners, axis=0) - np.mean(left.corners, axis=0)
+        assert (float(left.normal @ between) > 0) == (kind == "inside_corner")
+
+
+def test_a_board_is_a_grid_that_leans_and_its_problem_sparse() -> None:
+    recipe = space_recipe("board", 4)
+    wall = make_wall(recipe)
+    assert len(wall.holds) == 198
+    assert wall.inclination_deg == 130.0
+    x, y = np.unique(wall.positions[:, 0]), np.unique(wall.positions[:, 1])
+    assert (len(x), len(y)) == (11, 18)
+    np.testing.assert_allclose(np.diff(x), 0.2)
+    np.testing.assert_allclose(np.diff(y), 0.2)
+    kept = np.setdiff1d(np.arange(198), off_problem(recipe))
+    assert (np.bincount(kept // 11) == recipe.problem).all()
+    assert off_problem(recipe) != off_problem(replace(recipe, seed=5))
+    assert off_problem(replace(recipe, problem=11)) == off_problem(space_recipe("slab")) == []
+
+
+@pytest.mark.parametrize("kind", SPACE_KINDS)
+def test_the_scenario_of_a_wall_in_space_is_that_wall(kind: str) -> None:
+    recipe = space_recipe(kind, 3)
+    limbs = ("right_front", "left_front", "left_rear", "right_rear")
+    climb = RandomClimb(dict(zip(limbs, range(4), strict=True)), CircleSpec([0.5, 1.5], 0.06), 9)
+    if kind == "board":
+        climb = replace(
+            climb, start=dict(zip(limbs, sorted(set(range(198)) - set(off_problem(recipe)))[:4], strict=True))
+        )
+    scenario = scenario_from_text(scenario_text(recipe, SPACE_MODEL, climb, "there", "a test"))
+    assert scenario.build_wall() == make_wall(recipe)
+    assert scenario.robots[0].avoid.holds == off_problem(recipe)
+    assert len(scenario.source) < 100_000
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kind": "roof"}, "kind is 'roof'; allowed: plane, slab"),
+        ({"kind": "slab", "standoff": 0.0}, "standoff is 0 m"),
+        ({"kind": "outside_corner", "angle_deg": 60.0}, "angle is 60 degrees"),
+        ({"kind": "chimney", "gap": 0.0}, "gap is 0 m"),
+        ({"kind": "board", "holds": 100}, "holds is 100; allowed: 198"),
+        ({"kind": "board", "holds": 198, "problem": 0}, "problem is 0"),
+        ({"kind": "slab", "incut": Spread(0.0, -1.0, 0.0, 1.0)}, "incut deviation is -1"),
+        ({"kind": "chimney", "spacing": 0.14, "holds": 3000}, "found a place"),
+    ],
+)
+def test_a_recipe_in_space_that_makes_no_wall_says_why(changes: dict, message: str) -> None:
+    with pytest.raises(ClimberError, match=message):
+        make_wall(replace(Recipe(), **changes))
+
+
+def test_options_replace_what_the_kind_of_wall_has() -> None:
+    def recipe(*words: str) -> Recipe:
+        parser = argparse.ArgumentParser()
+        add_wall_command(parser.add_subparsers())
+        return recipe_of(parser.parse_args(["wall", "--out", "there.yaml", *words]))
+
+    assert recipe("--kind", "slab", "--holds", "100") == KINDS["slab"]
+    assert recipe("--kind", "board") == KINDS["board"]
+    assert recipe("--holds", "100") == Recipe()
+    words = "--kind inside_corner --holds 9 --angle 120 --incut 3 2 --friction-limits 0 1 --steepest 5"
+    changed = recipe(*words.split())
+    spread = KINDS["inside_corner"]
+    assert changed == replace(
+        spread,
+        holds=9,
+        angle_deg=120.0,
+        incut=replace(spread.incut, mean=3.0, deviation=2.0),
+        friction=replace(spread.friction, lower=0.0, upper=1.0),
+        slope=replace(spread.slope, lower=-5.0, upper=5.0),
+    )
+    with pytest.raises(ClimberError, match="--holds is not given"):
+        recipe("--kind", "slab")
