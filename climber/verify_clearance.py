@@ -20,7 +20,7 @@ from shapely.geometry.base import BaseGeometry
 from climber.robot import Robot
 from climber.stance import Vector
 from climber.verify_model import Poses
-from climber.verify_scene import FAR, Part, Scene
+from climber.verify_scene import FAR, Part, Scene, gap
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class Outlines:
             a, b = placed[i], placed[j]
             apart = np.linalg.norm(a.middle - b.middle, axis=1) - a.outline.size - b.outline.size
             near = np.flatnonzero(apart < FAR)
-            found = shapely.distance(a.shapes(near), b.shapes(near)) - a.outline.radius - b.outline.radius
+            found = gap(shapely.distance(a.shapes(near), b.shapes(near)), a.outline.radius + b.outline.radius)
             within.values[near, column] = np.minimum(found, FAR)
             within.pairs.append(f"{a.outline.name} and {b.outline.name}")
         outside = Distances(np.full((count, len(placed) * len(self._regions)), FAR), [])
@@ -124,7 +124,7 @@ class Outlines:
             for part in placed:
                 apart = np.linalg.norm(part.middle - [circle.x, circle.y], axis=1) - part.outline.size - reach
                 near = np.flatnonzero(apart < FAR)
-                found = shapely.distance(part.shapes(near), region) - part.outline.radius
+                found = gap(shapely.distance(part.shapes(near), region), part.outline.radius)
                 outside.values[near, len(outside.pairs)] = np.minimum(found, FAR)
                 outside.pairs.append(f"{part.outline.name} and {name}")
         return within, outside

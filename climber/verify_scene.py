@@ -37,6 +37,7 @@ from climber.stance import Vector
 
 FAR = 0.02  # [m] pairs farther apart than this are not measured
 OBSTACLE_DEPTH = 1.0  # [m] thickness of the prisms that Drake has for planar obstacles, half of it on either side
+OVERLAP = 1e-3  # [m] reported for the depth of parts without thickness that meet, which is not measured
 EVERYWHERE = 100.0  # [m] the same in space, where such an obstacle is in the way at every height
 NUDGES = (0.0, 1e-8, -1e-8, 1e-7, -1e-7)  # [rad, m] tried in turn when Drake's narrow phase gives up
 Regions = Sequence[tuple[str, BaseGeometry | Solid]]
@@ -171,6 +172,11 @@ def _shapes(region: BaseGeometry | Solid, depth: float) -> list[tuple[Shape, Rig
     if isinstance(region, BaseGeometry):
         return [(_prism(corners, depth), RigidTransform()) for corners in convex_pieces(region)]
     return [region.drake()]
+
+
+def gap(cores: Vector, radius: Vector | float) -> Vector:
+    """Distance of parts whose cores are so far apart and so thick together [m]; minus the thickness where these meet."""
+    return np.where(cores > 0.0, cores - radius, -np.maximum(radius, OVERLAP))
 
 
 def convex_pieces(region: BaseGeometry) -> list[Vector]:

@@ -21,12 +21,11 @@ from climber.stance import Vector
 from climber.verify_distance import hull_distances
 from climber.verify_joints import freedoms
 from climber.verify_model import Tree
-from climber.verify_scene import FAR, Part, Regions, Scene
+from climber.verify_scene import FAR, Part, Regions, Scene, gap
 
 ENOUGH = 0.005  # [m] distances are proved up to this, not beyond
 SHARE = 0.8  # of the least distance found at any instant, up to which it is proved for what lies between
 HALVINGS = 14  # of a step; its 16,000th part moves no link by a thousandth of a millimetre
-OVERLAP = 1e-3  # [m] reported for the depth of parts without thickness that meet, which is not measured
 CHUNK = 20_000  # pairs measured at a time
 Indices = NDArray[np.int64]
 
@@ -158,8 +157,7 @@ class Sweep:
                     for part, count in zip((one, two), kind, strict=True)
                 ]
                 cores, radius = hull_distances(*hulls), self._radius[one[some]] + self._radius[two[some]]
-                measured = np.where(cores > 0.0, cores - radius, -np.maximum(radius, OVERLAP))
-                result[some] = np.minimum(measured, FAR)
+                result[some] = np.minimum(gap(cores, radius), FAR)
         return result
 
     def _placed(self, q: Vector) -> tuple[Vector, Vector]:

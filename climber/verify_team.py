@@ -17,7 +17,7 @@ from climber.verify_clearance import Placed, outlines
 from climber.verify_model import Tree
 from climber.verify_motion import Motion
 from climber.verify_rules import BETWEEN
-from climber.verify_scene import Scene
+from climber.verify_scene import Scene, gap
 from climber.verify_space import Sweep
 
 CHUNK = 5000  # instants measured at a time
@@ -151,7 +151,7 @@ def _nearest(one: Sequence[Placed], two: Sequence[Placed]) -> tuple[Vector, Indi
         near = np.flatnonzero(apart[i, j] - sizes[i, j] < best)
         if len(near):
             a, b = one[i], two[j]
-            found = shapely.distance(a.shapes(near), b.shapes(near)) - a.outline.radius - b.outline.radius
+            found = gap(shapely.distance(a.shapes(near), b.shapes(near)), a.outline.radius + b.outline.radius)
             closer = found < best[near]
             best[near[closer]], which[near[closer]] = found[closer], (i, j)
     return best, which

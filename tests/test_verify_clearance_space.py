@@ -16,8 +16,8 @@ from climber.solids import Box, Convex, Cylinder, Facet, Sphere
 from climber.stance import Vector
 from climber.verify_distance import hull_distances
 from climber.verify_model import Tree
-from climber.verify_scene import FAR, DrakeClearance, Regions, Scene
-from climber.verify_space import ENOUGH, OVERLAP, SHARE, SpaceClearance, Sweep, levers
+from climber.verify_scene import FAR, OVERLAP, DrakeClearance, Regions, Scene
+from climber.verify_space import ENOUGH, SHARE, SpaceClearance, Sweep, levers
 
 LEMUR = "package://climber/lemur/lemur.urdf"
 REGIONS: Regions = [
