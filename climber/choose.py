@@ -3,6 +3,7 @@
 Along a climb, layers follow one another: postures to start from, then for every move where its limb may let go and
 where it has taken hold, then postures that reach the goal. Between neighbouring layers the robot shifts or swings.
 Motions whose ends bend the holding limbs alike are nearly always easy, so a flip of an elbow counts like a long way.
+What else counts is the objective's business.
 """
 
 from __future__ import annotations
@@ -11,11 +12,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from climber.objective import Objective
 from climber.path import unwound
 from climber.robot import Indices
 from climber.stance import Contact, Vector
-
-FLIP = 4.0  # what an elbow flip counts as, in joint-space length [rad]
 
 
 @dataclass
@@ -27,12 +27,14 @@ class Layer:
         q: Configurations, shape (M, nq).
         branches: Branch of each limb, shape (M, num_limbs).
         holding: The limbs that hold on during the phase that ends here.
+        cost: What each costs as such, shape (M,); nothing if left out.
     """
 
     contacts: tuple[Contact, ...]
     q: Vector
     branches: Indices
     holding: tuple[int, ...]
+    cost: Vector | None = None
 
 
 @dataclass
@@ -42,11 +44,13 @@ class Candidates:
     Attributes:
         layers: The layers, first to last.
         angle: Places of the pelvis's angles in the positions.
+        objective: What a phase costs.
         barred: Phases that did not work out: (layer before, candidate there, candidate in the next layer).
     """
 
     layers: list[Layer]
     angle: Indices
+    objective: Objective
     barred: set[tuple[int, int, int]] = field(default_factory=set)
 
     def costs(self, i: int) -> Vector:
@@ -55,7 +59,9 @@ class Candidates:
         step = unwound(there.q[None], here.q[:, None], self.angle) - here.q[:, None]
         holding = list(there.holding)
         flips = (here.branches[:, None, holding] != there.branches[None, :, holding]).sum(axis=2)
-        result: Vector = np.linalg.norm(step, axis=2) + FLIP * flips
+        result: Vector = self.objective.step(step) + self.objective.flip * flips
+        if there.cost is not None:
+            result = result + there.cost
         for layer, a, b in self.barred:
             if layer == i:
                 result[a, b] = np.inf
@@ -65,7 +71,8 @@ class Candidates:
         """The candidate of each layer on the cheapest way through, or None when there is none."""
         if not all(len(layer.q) for layer in self.layers):
             return None
-        total = np.zeros(len(self.layers[0].q))
+        first = self.layers[0]
+        total = np.zeros(len(first.q)) if first.cost is None else first.cost
         before = []
         for i in range(len(self.layers) - 1):
             through = total[:, None] + self.costs(i)

@@ -16,6 +16,7 @@ from climber.manifold import Body
 from climber.motion import DeadEnd, EmptyPiece, MotionPlanner
 from climber.move_question import MoveQuestion, reached_or_none, resolve
 from climber.phase_motion import MotionBudget, PhaseMotion
+from climber.phases import Way
 from climber.reachable import Reached, RelaxedClimb
 from climber.relaxed import Check, RelaxedChecks
 from climber.scenario import Scenario
@@ -155,10 +156,10 @@ def _moving(told: MoveExplanation, move: Move, planner: MotionPlanner) -> MoveEx
         return _failed_search(told, failure.failure, "letting go" if failure.end == "leave" else "taking hold")
     outcome = planner.plan(planner.transitions.transition(contacts, move.limb), [move], {})
     assert not isinstance(outcome, EmptyPiece)  # no piece was asked for
-    if not isinstance(outcome, list):
+    if not isinstance(outcome, Way):
         failed = outcome.failure if isinstance(outcome, DeadEnd) else outcome
         return _failed_search(told, failed.failure, "torque" if failed.stage == "torque" else "motion")
-    return _possible(told, outcome)
+    return _possible(told, outcome.chained())
 
 
 def _possible(told: MoveExplanation, phases: list[PhaseMotion]) -> MoveExplanation:

@@ -28,6 +28,7 @@ from climber.lessons import Lessons, OnFailure
 from climber.manifold import Body
 from climber.motion import DeadEnd, EmptyPiece, MotionPlanner, Regions
 from climber.phase_motion import MotionBudget, PhaseMotion
+from climber.phases import Way
 from climber.plan_file import Cut, Phase, PhaseContact, Plan, RobotPlan
 from climber.prune import impossible_moves
 from climber.regrasp import rigid, with_regrasps
@@ -207,9 +208,11 @@ class ClimbSearch:
                 continue
             self.report(f"{len(moves)} moves of cost {proposal.cost} have postures at every transition")
             stances = [self.stance, *(move.end for move in moves)]
-            outcome = self.planner.plan(self.start, moves, self.regions(walk), lessons.choices(walk, stances))
-            if isinstance(outcome, list):
-                return self.robot_plan(proposal, walk, moves, outcome)
+            pieces = lessons.choices(walk, stances)
+            free = not self.spec.start_posture
+            outcome = self.planner.plan(self.start, moves, self.regions(walk), pieces, free)
+            if isinstance(outcome, Way):
+                return self.robot_plan(proposal, walk, moves, outcome.chained())
             self.learn(lessons, walk, moves, outcome)
         raise self._none("the task planner was asked as often as the budget allows", proved=False)
 

@@ -26,6 +26,7 @@ from climber.graph import build_stance_graph
 from climber.lessons import Lessons, OnFailure
 from climber.motion import MotionPlanner
 from climber.phase_motion import PhaseMotion
+from climber.phases import Way
 from climber.plan import ClimbSearch, Report, decode
 from climber.plan_file import Fact, RobotPlan
 from climber.product import ProductPlanner
@@ -249,10 +250,10 @@ class TeamSearch:
             stances = [member.stance, *(move.end for move in moves)]
             regions, choices = member.regions(walk), lessons.choices(walk, stances)
             outcome = member.planner.plan(member.start, moves, regions, choices)
-            if not isinstance(outcome, list):
+            if not isinstance(outcome, Way):
                 member.learn(lessons, walk, moves, outcome)
                 return None
-            self._motions[index][key] = outcome
+            self._motions[index][key] = outcome.chained()
         return self._motions[index][key]
 
     def _keep_apart(self, tasks: ProductPlanner, proposal: TaskPlan, conflict: Conflict) -> None:

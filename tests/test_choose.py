@@ -9,9 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from climber.choose import FLIP, Candidates, Layer
+from climber.choose import Candidates, Layer
+from climber.objective import FLIP, Norm, Objective
 
 ANGLE = 2
+LENGTH = Objective("length", Norm(np.ones(5)), 1.0, 0.0, FLIP)
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -26,7 +28,7 @@ def random_candidates(rng: np.random.Generator) -> Candidates:
         count = int(rng.integers(1, 5))
         holding = tuple(int(i) for i in np.flatnonzero(rng.random(3) < 0.8))
         layers.append(layer(rng.uniform(-8, 8, (count, 5)), rng.integers(0, 2, (count, 3)), holding))
-    result = Candidates(layers, ANGLE)
+    result = Candidates(layers, ANGLE, LENGTH)
     for i, (one, two) in enumerate(itertools.pairwise(layers)):
         for a, b in itertools.product(range(len(one.q)), range(len(two.q))):
             if rng.random() < 0.25:
@@ -94,7 +96,7 @@ def test_barring_the_best_again_and_again_goes_through_ways_of_no_less_cost_unti
 def test_flip_of_a_limb_that_holds_counts_and_of_one_that_swings_does_not() -> None:
     zero = np.zeros((1, 5))
     for holding, expected in (((0, 1, 2), 2 * FLIP), ((0, 2), FLIP), ((), 0.0)):
-        candidates = Candidates([layer(zero, [[0, 0, 0]]), layer(zero, [[1, 1, 0]], holding)], ANGLE)
+        candidates = Candidates([layer(zero, [[0, 0, 0]]), layer(zero, [[1, 1, 0]], holding)], ANGLE, LENGTH)
         assert candidates.costs(0)[0, 0] == pytest.approx(expected)
 
 
@@ -102,14 +104,16 @@ def test_whole_turns_of_the_pelvis_cost_nothing() -> None:
     q = np.zeros((1, 5))
     turned = q.copy()
     turned[0, ANGLE] = 6 * np.pi + 0.1
-    assert Candidates([layer(q, [[0]], (0,)), layer(turned, [[0]], (0,))], ANGLE).costs(0)[0, 0] == pytest.approx(0.1)
+    assert Candidates([layer(q, [[0]], (0,)), layer(turned, [[0]], (0,))], ANGLE, LENGTH).costs(0)[
+        0, 0
+    ] == pytest.approx(0.1)
 
 
 def test_one_layer_needs_no_phase_and_an_empty_one_lets_none_through() -> None:
     one, none = layer(np.zeros((3, 5)), np.zeros((3, 2))), layer(np.zeros((0, 5)), np.zeros((0, 2)))
-    assert Candidates([one], ANGLE).best() == [0]
+    assert Candidates([one], ANGLE, LENGTH).best() == [0]
     for layers in ([none], [none, one], [one, none], [one, none, one]):
-        assert Candidates(layers, ANGLE).best() is None
+        assert Candidates(layers, ANGLE, LENGTH).best() is None
 
 
 @settings(max_examples=100, deadline=None)
@@ -127,7 +131,7 @@ def test_dead_end_is_the_first_layer_that_nothing_leads_on_from(seed: int) -> No
 
 
 def test_barring_a_phase_bars_all_its_pairs() -> None:
-    candidates = Candidates([layer(np.zeros((n, 5)), np.zeros((n, 2))) for n in (2, 3, 1)], ANGLE)
+    candidates = Candidates([layer(np.zeros((n, 5)), np.zeros((n, 2))) for n in (2, 3, 1)], ANGLE, LENGTH)
     candidates.bar_phase(0)
     assert np.isinf(candidates.costs(0)).all() and np.isfinite(candidates.costs(1)).all()
     assert candidates.best() is None and candidates.dead_end()[0] == 0

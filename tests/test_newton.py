@@ -19,7 +19,8 @@ from climber.motion import DeadEnd, EmptyPiece, MotionPlanner
 from climber.newton import Closure, NewtonChart
 from climber.newton_sampler import NewtonSampler
 from climber.path import Search, find_path, unwound
-from climber.phase_motion import MotionBudget, PhaseMotion
+from climber.phase_motion import MotionBudget
+from climber.phases import Way
 from climber.plan import plan_climb
 from climber.regrasp import rigid, with_regrasps
 from climber.robot import Model, Robot
@@ -83,7 +84,7 @@ def moves_of(*moves: tuple[int, int]) -> list[Move]:
 TO_2, AGAIN, TO_3 = (1, 2), (0, 1), (1, 3)
 
 
-def planned(*moves: tuple[int, int], seed: int = 0) -> list[PhaseMotion] | MoveFailure | DeadEnd | EmptyPiece:
+def planned(*moves: tuple[int, int], seed: int = 0) -> Way | MoveFailure | DeadEnd | EmptyPiece:
     """What the motion planner makes of a sequence of moves."""
     finder = TransitionFinder(double_link(), np.random.default_rng(seed))
     start = start_postures(scenario(), 0, finder, Stance((1, 0)))
@@ -377,8 +378,9 @@ def test_short_climbs_have_no_motion(moves: tuple[tuple[int, int], ...]) -> None
 
 
 def test_the_climb_that_comes_back_has_all_its_motions() -> None:
-    outcome = planned(TO_2, AGAIN, TO_3)
-    assert isinstance(outcome, list)
+    way = planned(TO_2, AGAIN, TO_3)
+    assert isinstance(way, Way)
+    outcome = way.chained()
     hanging_from = [phase.contacts[0].hold for phase in outcome if phase.limb is not None]
     assert hanging_from == [1, 2, 1]  # hold 1, Bretl's 2, is visited twice
     joint = [phase.samples.q[0, 3] for phase in outcome if phase.limb is None]

@@ -118,38 +118,49 @@ class ChartProgram:
         self._difference = np.concatenate([first, second])  # r = difference @ q
         self._normal = self._difference.T @ self._difference  # (S + 1, S + 1)
 
-    def cost(self, control: Vector) -> float:
-        """The objective (1) of control points, shape (num_control, num_coordinates)."""
+    def cost(self, control: Vector, scale: Vector | float = 1.0) -> float:
+        """The objective (1) of control points, shape (num_control, num_coordinates).
+
+        Args:
+            control: The control points.
+            scale: What positions are multiplied by, shape (nq,).
+        """
         q, _ = self.chart.expand(self.basis @ control)
-        return float(((self._difference @ q) ** 2).sum())
+        return float(((self._difference @ (q * scale)) ** 2).sum())
 
     def subproblem(self, control: Vector, radius: float, backoff: float) -> Subproblem:
         """The quadratic program (3) around control points, shape (num_control, num_coordinates)."""
-        inner = self.basis[:, 1:-1]
-        size = inner.shape[1] * control.shape[1]
+        whole, n = self.whole(control, radius, backoff), control.shape[1]
+        inner = slice(n, -n)
+        box = np.tile(radius / self.chart.scale, len(control) - 2)
+        identity = np.eye(len(box))
+        A = np.concatenate([whole.A[:, inner], identity, -identity])
+        b = np.concatenate([whole.b, box, box])
+        return Subproblem(whole.P[inner, inner], whole.c[inner], A, b, whole.names)
+
+    def whole(self, control: Vector, radius: float, backoff: float, scale: Vector | float = 1.0) -> Subproblem:
+        """The same in the change of all control points, those at the ends included, and without a trust region.
+
+        Conditions that nothing within the trust region can violate are left out all the same.
+        """
+        size = control.size
         near = self.conditions.linearised(self.basis @ control, WATCH)
         # dq_i/du_jc = B_j(s_i) dq/du_c
-        J = np.einsum("sj,sqc->sqjc", inner, near.dq).reshape(len(self.s), -1, size)
+        dq = near.dq * np.broadcast_to(scale, near.q.shape[1:])[:, None]
+        J = np.einsum("sj,sqc->sqjc", self.basis, dq).reshape(len(self.s), -1, size)
         weighted = np.tensordot(self._normal, J, 1)
         P = 2 * np.tensordot(J, weighted, ((0, 1), (0, 1)))
-        c = 2 * np.tensordot(near.q, weighted, ((0, 1), (0, 1)))
+        c = 2 * np.tensordot(near.q * scale, weighted, ((0, 1), (0, 1)))
         bound = radius / self.chart.scale
         room = near.value - np.minimum(near.value, backoff)
         # The basis adds up to one, so no sample leaves the trust region, and most conditions have room for all of it.
         tight = (room < np.abs(near.slope) @ bound) & (near.place > 0) & (near.place < len(self.s) - 1)
-        rows = np.einsum("mj,mc->mjc", inner[near.place[tight]], near.slope[tight]).reshape(-1, size)
-        box = np.tile(bound, inner.shape[1])
+        rows = np.einsum("mj,mc->mjc", self.basis[near.place[tight]], near.slope[tight]).reshape(-1, size)
         names = (
             f"{self.conditions.names[k]} at s={self.s[i]:.3f}"
             for i, k in zip(near.place[tight], near.kind[tight], strict=True)
         )
-        return Subproblem(
-            P,
-            c,
-            np.concatenate([-rows, np.eye(size), -np.eye(size)]),
-            np.concatenate([room[tight], box, box]),
-            tuple(names),
-        )
+        return Subproblem(P, c, -rows, room[tight], tuple(names))
 
     def solve(
         self, guess: Curve, check: Manifold | None = None, iterations: int = 12, resolution: float = RESOLUTION

@@ -1,0 +1,41 @@
+"""The beginning of a climb, with everything that improves it, for tests that need one with little ado."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from climber.manifold import Body
+from climber.motion import MotionPlanner
+from climber.objective import ObjectiveKind
+from climber.phases import Way
+from climber.robot import Model, Robot
+from climber.scenario import load_scenario
+from climber.stance import Move, Stance
+from climber.start import start_postures
+from climber.transitions import TransitionFinder
+
+MOVES = ((0, 5), (1, 3), (3, 4), (2, 2))  # limb and hold: how the climb of `basic` begins
+
+
+@cache
+def beginning(
+    count: int = 3, seed: int = 0, objective: ObjectiveKind = "length", free_start: bool = False
+) -> tuple[MotionPlanner, Way]:
+    """The first moves of `basic`, and the planner that planned them."""
+    scenario = load_scenario("basic")
+    wall = scenario.build_wall()
+    robot = Robot(Model.load(scenario.robots[0].model, scenario.folder), wall.gravity)
+    finder = TransitionFinder(Body(robot, wall), np.random.default_rng(seed))
+    stance = Stance(tuple(scenario.robots[0].start[name] for name in robot.limb_names))
+    start = start_postures(scenario, 0, finder, stance)
+    moves = []
+    for limb, hold in MOVES[:count]:
+        moves.append(Move(stance, limb, hold))
+        stance = moves[-1].end
+    assert not finder.survey(start.contacts, moves)
+    planner = MotionPlanner(finder, objective=objective)
+    way = planner.plan(start, moves, {count: [None]}, free_start=free_start)
+    assert isinstance(way, Way)
+    return planner, way
