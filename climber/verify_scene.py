@@ -175,7 +175,7 @@ def _shapes(region: BaseGeometry | Solid, depth: float) -> list[tuple[Shape, Rig
 
 
 def gap(cores: Vector, radius: Vector | float) -> Vector:
-    """Distance of parts whose cores are so far apart and so thick together [m]; minus the thickness where these meet."""
+    """Distance of parts whose cores are so far apart and so thick together [m]; minus the thickness where they meet."""
     return np.where(cores > 0.0, cores - radius, -np.maximum(radius, OVERLAP))
 
 
