@@ -44,10 +44,28 @@ def solve_blocks(
     Returns:
         The solutions, shape (K, n), or None if Clarabel found none, be it infeasible or difficult.
     """
+    found = solve_blocks_and_multipliers(P, q, E, b, G, g, C, d)
+    return None if found is None else found[0]
+
+
+def solve_blocks_and_multipliers(
+    P: Vector | None,
+    q: Vector,
+    E: Vector,
+    b: Vector,
+    G: Vector,
+    g: Vector,
+    C: Vector | None = None,
+    d: Vector | None = None,
+) -> tuple[Vector, Vector, Vector] | None:
+    """`solve_blocks`, and the multipliers y of E x = b, shape (K, u), and z >= 0 of G x <= g, shape (K, r).
+
+    They satisfy P x + q + E^T y + G^T z + ... = 0.
+    """
     K, n = q.shape
     u, r = E.shape[1], G.shape[1]
     if K == 0:
-        return np.zeros((0, n))
+        return np.zeros((0, n)), np.zeros((0, u)), np.zeros((0, r))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
@@ -71,7 +89,9 @@ def solve_blocks(
     solution = solver.solve()
     if solution.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
         return None
-    return np.array(solution.x).reshape(K, n)
+    multipliers = np.array(solution.z)
+    y, z = multipliers[: K * u].reshape(K, u), multipliers[K * u : K * (u + r)].reshape(K, r)
+    return np.array(solution.x).reshape(K, n), y, z
 
 
 def _stack(blocks: Vector, rows: Vector, num_rows: int) -> sparse.csc_matrix:

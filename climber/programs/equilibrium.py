@@ -5,7 +5,8 @@ friction (Gönen 2021, eqs. 4.8-4.11), pins and magnets are one model (`climber.
 below stays linear.
 
 `SupportProgram` is the reference, one `MathematicalProgram` for one set of contacts; `climber.programs.support` answers
-the same question for many sets at once and must agree with it.
+the same question for many sets at once and must agree with it. So does `climber.programs.regions` with `RegionProgram`,
+for robots in space.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from pydrake.solvers import ClarabelSolver, ClpSolver, MathematicalProgram
+from pydrake.solvers import ClarabelSolver, ClpSolver, MathematicalProgram, SolverOptions
 
 from climber.programs.forces import ContactForces, wall_forces, weight_in_plane
+from climber.programs.wrenches import across
 from climber.stance import Contact, Vector
 from climber.wall import Wall
 
@@ -164,6 +166,71 @@ class SupportProgram:
             if shortfall > 0.0:
                 return np.array([0.0, 0.0, sign]), float(shortfall)
         return None
+
+
+class RegionProgram:
+    """How far the centre of mass can be in a direction, for a robot in space in static equilibrium (Bretl 2006, B1-B3).
+
+    Given contacts i = 1..k at p_i [m] with forces f_i = o_i + G_i t_i [N] and moments n_i(t_i) about z [N m], the
+    weight w [N], the mean p_0 of the p_i, and unit vectors e_1 and e_2 across gravity:
+
+        max         u . c
+        over        t_1, ..., t_k, c in R^2
+        subject to  (1) sum_i f_i + w = 0                                                          force balance
+                    (2) sum_i (p_i - p_0) x f_i + n_i + (c_1 e_1 + c_2 e_2 - p_0) x w = 0          torque balance
+                    (3) t_i in two second-order cones, in pyramids, or in a box                    force limits
+
+    Attributes:
+        prog: The program, constraints named; its cost is added at `solve`.
+        t: Its variables t [N], shape (k, p).
+        c: Its variables c [m], shape (2,), measured from p_0.
+        origin: p_0 along e_1 and e_2 [m], shape (2,).
+    """
+
+    def __init__(self, points: Vector, forces: ContactForces, pull: Vector) -> None:
+        """Builds the program.
+
+        Args:
+            points: Contact points in W [m], shape (k, 3).
+            forces: Forces of the contacts in space, leading shape (k,).
+            pull: The weight in W [N], shape (3,).
+        """
+        center = points.mean(axis=0)
+        basis = across(pull)
+        self.origin: Vector = basis @ center
+        k, p = forces.lower.shape
+        self.prog = MathematicalProgram()
+        self.t = self.prog.NewContinuousVariables(k, p, "t")
+        self.c = self.prog.NewContinuousVariables(2, "c")
+        arms = points - center
+        turns = np.cross(arms[:, None], np.swapaxes(forces.generators, 1, 2))  # (k, p, 3)
+        if forces.moments is not None:
+            turns[..., 2] += forces.moments
+        variables = np.concatenate([self.t.ravel(), self.c])
+        force = np.hstack([np.moveaxis(forces.generators, 0, 1).reshape(3, -1), np.zeros((3, 2))])
+        row = self.prog.AddLinearEqualityConstraint(force, -pull - forces.offset.sum(axis=0), variables)
+        row.evaluator().set_description("force balance")
+        torque = np.hstack([turns.reshape(-1, 3).T, np.cross(basis, pull).T])
+        row = self.prog.AddLinearEqualityConstraint(torque, -np.cross(arms, forces.offset).sum(axis=0), variables)
+        row.evaluator().set_description("torque balance")
+        for i in range(k):
+            limits = forces[i : i + 1].limits()
+            if len(limits.g):
+                most = self.prog.AddLinearConstraint(limits.R, np.full(len(limits.g), -np.inf), limits.g, self.t[i])
+                most.evaluator().set_description(f"force limits of contact {i}")
+            for C, d, name in zip(limits.C, limits.d, ("least", "greatest"), strict=False):
+                cone = self.prog.AddLorentzConeConstraint(-C, d, self.t[i])
+                cone.evaluator().set_description(f"friction cone of contact {i}, {name} force")
+
+    def solve(self, direction: Vector) -> Vector | None:
+        """The place farthest in a direction, or None if there is none [m]; both along e_1 and e_2, shape (2,)."""
+        cost = self.prog.AddLinearCost(-np.asarray(direction, dtype=float), 0.0, self.c)
+        options = SolverOptions()
+        for name in ("tol_feas", "tol_gap_abs", "tol_gap_rel"):
+            options.SetOption(ClarabelSolver.id(), name, 1e-10)
+        result = ClarabelSolver().Solve(self.prog, None, options)
+        self.prog.RemoveCost(cost)
+        return self.origin + result.GetSolution(self.c) if result.is_success() else None
 
 
 class ShortfallProgram:

@@ -240,7 +240,7 @@ def _in_space(wall: Wall, section: Section) -> ContactForces:
     sine, cosine = np.sin(numbers["half angle"]), np.cos(numbers["half angle"])
     cones = 2.0 * directions * np.stack([sine, sine, cosine], axis=1)[:, None]
     least, most = numbers["least"], numbers["most"]
-    half = 0.5 * (most - least) * (section.corners[0, 0] if section.edges else 1.0)  # farthest u along e_1
+    half = 0.5 * (most - least) * section.radius
     lower = np.where(pin[:, None], least[:, None], np.column_stack([-half, -half, least]))
     upper = np.where(pin[:, None], most[:, None], np.column_stack([half, half, most]))
     forces = ContactForces(

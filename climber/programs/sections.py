@@ -56,19 +56,27 @@ class Section:
         """Whether it allows every force within Coulomb friction, so that what it rules out is impossible."""
         return self.kind != "inscribed"
 
+    @property
+    def radius(self) -> float:
+        """How far its farthest point is from the middle."""
+        return float(1.0 / np.cos(np.pi / self.edges)) if self.kind == "circumscribed" else 1.0
+
     @cached_property
     def sides(self) -> Vector:
         """Rows D with D u <= 1 for the polygon, shape (edges, 2)."""
-        angles = (2 * np.arange(self.edges) + 1) * np.pi / max(self.edges, 1)
-        inradius = np.cos(np.pi / self.edges) if self.kind == "inscribed" else 1.0
-        return np.column_stack([np.cos(angles), np.sin(angles)]) / inradius
+        inner_radius = self.radius * np.cos(np.pi / max(self.edges, 1))
+        sides: Vector = self._around(0.5 if self.kind == "inscribed" else 0.0) / inner_radius
+        return sides
 
     @cached_property
     def corners(self) -> Vector:
-        """The polygon's corners, the first along e_1, shape (edges, 2)."""
-        angles = 2 * np.arange(self.edges) * np.pi / max(self.edges, 1)
-        radius = 1.0 / np.cos(np.pi / self.edges) if self.kind == "circumscribed" else 1.0
-        return radius * np.column_stack([np.cos(angles), np.sin(angles)])
+        """The polygon's corners, shape (edges, 2); inscribed, the first is along e_1, else a side is across it."""
+        return self.radius * self._around(0.0 if self.kind == "inscribed" else 0.5)
+
+    def _around(self, first: float) -> Vector:
+        """Unit vectors all around, the first at an angle of `first` of that between two, shape (edges, 2)."""
+        angles = (np.arange(self.edges) + first) * 2 * np.pi / max(self.edges, 1)
+        return np.column_stack([np.cos(angles), np.sin(angles)])
 
     def size(self, u: Vector) -> Vector:
         """How many times its own size it must be to hold u, shape (..., 2); shape (...)."""

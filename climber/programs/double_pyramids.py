@@ -1,0 +1,67 @@
+"""The programs of `climber.programs.double_cones` where pyramids stand for the cones: linear, and Clarabel's."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from climber.programs.blocks import solve_blocks_and_multipliers
+from climber.programs.double_cones import ConePrograms, ConeSolutions
+from climber.stance import Vector
+
+TOGETHER = 64  # programs in one call of the solver
+INSIDE = 1.0 - 1e-12
+
+
+def maximise_pyramids(programs: ConePrograms, start: Vector) -> ConeSolutions:
+    """Solves programs.
+
+    The solver is exact but for rounding, which is taken out of its points by going that little towards `start`.
+
+    Args:
+        programs: The programs; their section is a polygon.
+        start: Points strictly inside the pyramids with E x = b, shape (3, m, B).
+    """
+    u, B = programs.b.shape
+    x, y = start.copy(), np.zeros((u, B))
+    for first in range(0, B, TOGETHER):
+        rows = slice(first, first + TOGETHER)
+        x[..., rows], y[:, rows] = _solved(programs[rows], start[..., rows])
+    gap = programs.b - (programs.E * x).sum(axis=(1, 2))
+    E = programs.E.reshape(u, -1, B).transpose(2, 0, 1)
+    x += np.einsum("bnu,ub->nb", np.linalg.pinv(E, rcond=1e-9), gap).reshape(x.shape)
+    outside, inside = _size(programs, x).max(axis=0), _size(programs, start).max(axis=0)
+    share = np.clip((outside - INSIDE) / np.maximum(outside - inside, 1e-300), 0.0, 1.0)
+    x += share * (start - x)
+    return ConeSolutions(x, y, (programs.a * x).sum(axis=(0, 1)), programs.bound(y))
+
+
+def _solved(programs: ConePrograms, start: Vector) -> tuple[Vector, Vector]:
+    """X (3, m, B) and y (u, B); where the solver gives up, the start and zero."""
+    sides = programs.section.sides
+    u, _, m, B = programs.E.shape
+    n = 3 * m
+    R = np.zeros((2, len(sides), m, 3, m))
+    for i in range(m):
+        R[:, :, i, :2, i] = sides
+        R[0, :, i, 2, i], R[1, :, i, 2, i] = 1.0, -1.0
+    rows = R.reshape(-1, n)
+    found = solve_blocks_and_multipliers(
+        None,
+        -programs.a.reshape(n, B).T,
+        programs.E.reshape(u, n, B).transpose(2, 0, 1),
+        programs.b.T,
+        np.broadcast_to(rows, (B, *rows.shape)),
+        np.ones((B, len(rows))),
+    )
+    if found is not None:
+        return found[0].T.reshape(3, m, B), found[1].T
+    if B == 1:
+        return start, np.zeros((u, 1))
+    each = [_solved(programs[[i]], start[..., [i]]) for i in range(B)]
+    return np.concatenate([x for x, _ in each], axis=2), np.concatenate([y for _, y in each], axis=1)
+
+
+def _size(programs: ConePrograms, x: Vector) -> Vector:
+    """How many times its own size each pyramid must be to hold x, shape (m, B)."""
+    result: Vector = programs.section.size(np.moveaxis(x[:2], 0, -1)) + np.abs(x[2])
+    return result
