@@ -1,4 +1,4 @@
-"""The command line: `climber solve | verify | draw | explain | robot | wall`.
+"""The command line: `climber solve | verify | simulate | draw | explain | robot | wall`.
 
 Exit codes: 0 all is well, 1 the answer is no (no climb found, a check failed), 2 the input is at fault.
 """
@@ -55,6 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     from climber import __version__
     from climber.explain_command import add_explain_command
+    from climber.simulate_command import add_simulate_command
     from climber.wall_command import add_wall_command
 
     parser = argparse.ArgumentParser(prog="climber", description="Plans free climbs of multi-limbed robots.")
@@ -73,6 +74,8 @@ def _parser() -> argparse.ArgumentParser:
     verify.add_argument("plan", type=Path)
     verify.set_defaults(run=_verify)
 
+    simulate = add_simulate_command(commands)
+
     draw = commands.add_parser("draw", help="draw the pictures of a plan file")
     draw.add_argument("plan", type=Path)
     draw.add_argument("--out", type=Path, help="folder for the pictures; the plan's own by default")
@@ -85,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     explain = add_explain_command(commands)
     wall = add_wall_command(commands)
 
-    for command in (solve, verify, draw, robot, explain, wall):
+    for command in (solve, verify, simulate, draw, robot, explain, wall):
         command.add_argument("--json", action="store_true", help="print the result as JSON")
     return parser
 

@@ -69,7 +69,7 @@ class DynamicsBatch:
         return result
 
 
-class _Sampler:
+class Sampler:
     """Asks Drake for the terms of equation 4.24 at one state after another, a few microseconds a term."""
 
     def __init__(self, robot: Robot, holding: Sequence[int]) -> None:
@@ -130,7 +130,7 @@ def evaluate(robot: Robot, q: Vector, v: Vector, holding: Sequence[int]) -> Dyna
         v: Velocities [m/s, rad/s], shape (K, nv).
         holding: The limbs whose feet hold on; their order is that of the rows of J_c.
     """
-    sampler, K, nv = _Sampler(robot, holding), len(q), robot.plant.num_velocities()
+    sampler, K, nv = Sampler(robot, holding), len(q), robot.plant.num_velocities()
     M, h = np.empty((K, nv, nv)), np.empty((K, nv))
     J, Jdot_v = np.empty((K, sampler.num_rows, nv)), np.empty((K, sampler.num_rows))
     for k, state in enumerate(np.concatenate([q, v], axis=1)):
@@ -144,7 +144,7 @@ def evaluate(robot: Robot, q: Vector, v: Vector, holding: Sequence[int]) -> Dyna
 
 def evaluate_at_rest(robot: Robot, q: Vector, holding: Sequence[int]) -> tuple[Vector, Vector]:
     """The bias h, shape (K, nv), and the contact Jacobians, shape (K, m, nv), of `evaluate` for postures q at v = 0."""
-    sampler, K, nv = _Sampler(robot, holding), len(q), robot.plant.num_velocities()
+    sampler, K, nv = Sampler(robot, holding), len(q), robot.plant.num_velocities()
     h, J = np.empty((K, nv)), np.empty((K, sampler.num_rows, nv))
     for k, state in enumerate(np.pad(q, ((0, 0), (0, nv)))):
         sampler.plant.SetPositionsAndVelocities(sampler.context, state)

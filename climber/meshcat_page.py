@@ -171,12 +171,13 @@ def _quiet() -> Iterator[None]:
         logger.setLevel(level)
 
 
-def meshcat_page(scene: Scene) -> str:
-    """The page's HTML.
+def meshcat_page(scene: Scene, title: str = "") -> str:
+    """The page's HTML, under the scene's title or another.
 
     Raises:
         RuntimeError: If no port of this machine can be listened on, which Meshcat insists on.
     """
+    title = title or scene.title
     lower, upper = bounds(scene.wall, scene.covered, margin=0.1)
     params = MeshcatParams()
     params.host, params.port, params.show_stats_plot = "localhost", 0, False
@@ -198,8 +199,8 @@ def meshcat_page(scene: Scene) -> str:
     recording.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
     meshcat.PublishRecording()
     meshcat.SetCameraPose(camera, target)
-    html: str = meshcat.StaticHtml().replace("<title>Drake MeshCat</title>", f"<title>{escape(scene.title)}</title>", 1)
-    return html.replace("<body>", "<body>\n" + _caption(scene.title), 1)
+    html: str = meshcat.StaticHtml().replace("<title>Drake MeshCat</title>", f"<title>{escape(title)}</title>", 1)
+    return html.replace("<body>", "<body>\n" + _caption(title), 1)
 
 
 def viewpoint(wall: Wall, lower: Vector, upper: Vector) -> tuple[RigidTransform, Vector, Vector]:

@@ -1,0 +1,352 @@
+"""The controller: what a robot's motors do at an instant, given what it is to do and where it is.
+
+Joint tracking with feed-forward compensation is tau = tau_ff + K_P e + K_D de/dt (Gönen 2021, 4.34). On a closed chain
+joint errors that cannot be undone, because feet do not stand exactly where the plan has them, would make the feet push
+against one another until one slides. So the gains act on accelerations, and forces are chosen before torques:
+
+    (1) vd* = vd_ref + k_P e + k_D (v_ref - v) + k_I sum(e dt), e = q_ref - q
+    (2) vd  = the acceleration nearest to vd* at which holding feet come to rest: J_c vd + Jdot_c v = -k_F J_c v
+    (3) lambda = the contact forces nearest to the plan's, inside their cones, with J_u^T lambda = (M vd + h)_u in the
+        rows u without a motor
+    (4) tau = (M vd + h)_a - J_a^T lambda in the rows a with one, no more than the motors can
+
+(3) is the force control: what the tracking needs beyond the plan is taken from the feet that have friction to spare,
+along their normals before their tangents, and the internal forces, those that move nothing, stay what the plan chose.
+
+A trajectory generator (Bretl 2006) runs the plan's clock: it slows as the tracking error grows, and stops.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from climber.dynamics import Sampler, turning
+from climber.reference import Desired, Reference
+from climber.robot import Indices
+from climber.stance import Vector
+from climber.wall import Wall
+
+LEAST = 0.05  # a holding foot presses at least so hard [N]
+SAFE = 0.95  # share of a friction cone that is used
+DAMPING = 0.01  # limits joint rates near a straight limb [m]
+
+
+@dataclass(frozen=True)
+class Gains:
+    """How firmly the controller tracks.
+
+    Attributes:
+        pelvis: Natural frequency of the pelvis's errors [1/s]; they are critically damped.
+        joint: Natural frequency of a free limb's joint errors [1/s]; critically damped.
+        foot: How fast a holding foot that moves is brought to rest [1/s].
+        most: What the sum of past errors may add to the acceleration of the pelvis at most [m/s^2, rad/s^2]; ten times
+            as much for joints.
+        approach: A foot that ends its swing off its hold goes on along the hold's normal this fast [m/s].
+        settle: Joints of a limb that lets go elsewhere than planned are back on the plan after about this time [s].
+        pelvis_error: The clock slows when the pelvis is this far off [m], and stops at twice of it.
+        pelvis_angle: Likewise for its orientation [rad].
+        joint_error: Likewise for the joints of free limbs [rad].
+    """
+
+    pelvis: float = 40.0
+    joint: float = 80.0
+    foot: float = 40.0
+    most: float = 5.0
+    approach: float = 0.03
+    settle: float = 0.1
+    pelvis_error: float = 0.004
+    pelvis_angle: float = 0.04
+    joint_error: float = 0.05
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the motors do.
+
+    Attributes:
+        torque: Joint torques within the limits [N m], in the order of `Robot.joint_names`, shape (num_joints,).
+        moment: Moments between grippers and pins about z [N m], shape (num_limbs,).
+        force: Contact forces that are to come of it, in W [N], shape (num_limbs, 3).
+        applied: Torques and moments as generalised forces [N, N m], shape (nv,).
+    """
+
+    torque: Vector
+    moment: Vector
+    force: Vector
+    applied: Vector
+
+
+@dataclass(frozen=True)
+class _Stance:
+    """What is fixed during a phase.
+
+    Attributes:
+        holding: The limbs that hold.
+        holds: Their holds.
+        free: Places in the velocities of the pelvis and of the joints of limbs that do not hold.
+        rows: Rows of all feet's Jacobian that belong to holding feet.
+        weight: Inverse weights of accelerations in (2), shape (nv,).
+        ease: Inverse weights of forces in (3), a block for each foot and then the moments, shape (m, m).
+        gripping: The limbs whose pin takes a moment.
+    """
+
+    holding: tuple[int, ...]
+    holds: tuple[int, ...]
+    free: Indices
+    rows: Indices
+    weight: Vector
+    ease: Vector
+    gripping: tuple[int, ...]
+
+
+class Controller:
+    """Makes one robot follow its plan.
+
+    Attributes:
+        reference: The plan.
+        phase: Number of the phase that it is in.
+    """
+
+    def __init__(self, reference: Reference, wall: Wall, time_step: float, gains: Gains | None = None) -> None:
+        """Puts the controller before the first phase.
+
+        Args:
+            reference: The plan.
+            wall: The wall as the plan knows it.
+            time_step: Between commands [s].
+            gains: How firmly it tracks.
+        """
+        self.reference, self.robot, self.wall = reference, reference.robot, wall
+        self.time_step, self.gains = time_step, gains or Gains()
+        robot = self.robot
+        self._sampler = Sampler(robot, range(len(robot.limbs)))
+        self._axes = self._sampler.num_rows // len(robot.limbs)
+        self._turning = turning(robot, range(len(robot.limbs)))
+        nv = len(robot.velocity_names)
+        motors = robot.effort > 0.0
+        self._driven, self._limits = robot.joint_v[motors], robot.effort[motors]
+        self._motors = np.flatnonzero(motors)
+        self._loose = np.setdiff1d(np.arange(nv), self._driven)
+        self._J, self._Jdot_v = np.empty((self._sampler.num_rows, nv)), np.empty(self._sampler.num_rows)
+        omega = np.full(nv, self.gains.joint)
+        omega[robot.base_v] = self.gains.pelvis
+        self._kp, self._kd = omega**2, 2.0 * omega
+        self._tolerance = np.full(nv, self.gains.joint_error)
+        self._tolerance[robot.base_v] = self.gains.pelvis_error
+        self._tolerance[robot.angle_q] = self.gains.pelvis_angle
+        self._ki = 0.1 * omega**3
+        self._most = self.gains.most / self._ki * np.where(np.isin(np.arange(nv), robot.base_v), 1.0, 10.0)
+        self._aside, self._sum, self.error = np.zeros(nv), np.zeros(nv), np.zeros(nv)
+        self.phase, self.landing = 0, False
+        self._stance = self._stand()
+
+    def _stand(self) -> _Stance:
+        """What is fixed during the phase."""
+        robot, phase, axes = self.robot, self.reference.phase(self.phase), self._axes
+        place = {contact.limb: contact for contact in phase.contacts}
+        holding = tuple(i for i, name in enumerate(robot.limb_names) if name in place)
+        holds = tuple(place[robot.limb_names[i]].hold for i in holding)
+        gripping = tuple(i for i, hold in zip(holding, holds, strict=True) if self.wall.holds[hold].max_moment > 0.0)
+        weight = np.full(len(robot.velocity_names), 1.0)
+        weight[robot.base_v] = 1e-6  # limbs give way to the pelvis
+        ease = np.zeros((axes * len(holding) + len(gripping),) * 2)
+        for k, number in enumerate(holds):
+            hold, n = self.wall.holds[number], self.wall.normals[number][:axes]
+            sideways = 1.0 if hold.grip == "pin" else 0.5 * min(hold.friction, 1.0) ** 2
+            across = np.outer(n, n)
+            ease[axes * k : axes * k + axes, axes * k : axes * k + axes] = across + sideways * (np.eye(axes) - across)
+        for k, i in enumerate(gripping, start=axes * len(holding)):
+            hold = self.wall.holds[place[robot.limb_names[i]].hold]
+            ease[k, k] = (hold.max_moment / hold.max_force) ** 2
+        return _Stance(
+            holding=holding,
+            holds=holds,
+            free=np.concatenate([robot.base_v, *(limb.v for i, limb in enumerate(robot.limbs) if i not in holding)]),
+            rows=np.array([axes * i + a for i in holding for a in range(axes)], dtype=np.int64),
+            weight=weight,
+            ease=ease,
+            gripping=gripping,
+        )
+
+    # --- the plan's clock ---------------------------------------------------------------------------------------------
+
+    @property
+    def end(self) -> float:
+        """The time of the plan that the clock may not pass before the next phase begins [s]."""
+        return self.reference.end(self.phase)
+
+    @property
+    def begin(self) -> float:
+        """When the plan begins [s]."""
+        return float(self.reference.phase(0).time[0])
+
+    @property
+    def last(self) -> float:
+        """When the plan ends [s]."""
+        return self.reference.end(self.reference.num_phases - 1)
+
+    @property
+    def free_joints(self) -> Indices:
+        """Places in the velocities of the joints of limbs that hold nothing."""
+        return self._stance.free[len(self.robot.base_v) :]
+
+    @property
+    def waiting(self) -> str:
+        """What the clock may be waiting for, in words."""
+        if self.landing and self.arriving is not None:
+            limb, hold = self.arriving
+            return f"{self.robot.limb_names[limb]} does not reach hold {hold}"
+        return f"tracking errors of up to {float(np.abs(self.error[self._stance.free]).max()):.3f} m or rad"
+
+    @property
+    def done(self) -> bool:
+        """Whether it is in the last phase."""
+        return self.phase + 1 == self.reference.num_phases
+
+    @property
+    def touches(self) -> dict[int, tuple[int, Vector]]:
+        """By limb that holds: its hold, and where the plan has the foot in W [m]."""
+        names = self.robot.limb_names
+        return {names.index(c.limb): (c.hold, c.point) for c in self.reference.phase(self.phase).contacts}
+
+    @property
+    def arriving(self) -> tuple[int, int] | None:
+        """The limb that takes hold when the phase ends, and its hold."""
+        if self.done:
+            return None
+        names, after = self.robot.limb_names, self.reference.phase(self.phase + 1)
+        for contact in after.contacts:
+            limb = names.index(contact.limb)
+            if limb not in self._stance.holding:
+                return limb, contact.hold
+        return None
+
+    def advance(self) -> None:
+        """Goes on to the next phase."""
+        before = set(self._stance.holding)
+        self.phase, self.landing = self.phase + 1, False
+        self._stance = self._stand()
+        for limb, its in enumerate(self.robot.limbs):
+            if limb in before or limb in self._stance.holding:
+                self._aside[its.v] = self._sum[its.v] = 0.0
+            if limb in before and limb not in self._stance.holding:
+                self._aside[its.v] = self.error[its.v]
+
+    @property
+    def pace(self) -> float:
+        """How fast the clock may run, between 0 and 1, by the tracking error of the last command."""
+        free = self._stance.free
+        worst = float((np.abs(self.error[free]) / self._tolerance[free]).max())
+        return min(max(2.0 - worst, 0.0), 1.0)
+
+    # --- forces and torques -------------------------------------------------------------------------------------------
+
+    def command(self, time: float, rate: float, quicker: float, q: Vector, v: Vector, toward: float = 0.0) -> Command:
+        """What the motors do.
+
+        Args:
+            time: The plan's clock [s], within the phase.
+            rate: How fast it runs.
+            quicker: How fast that changes [1/s].
+            q: Measured positions [m, rad], shape (nq,).
+            v: Measured velocities [m/s, rad/s], shape (nv,).
+            toward: If the limb that arrives is to go on towards its hold, 1 along minus its normal, -1 along it.
+        """
+        stance, gains, axes = self._stance, self.gains, self._axes
+        desired = self.reference.at(self.phase, time)
+        sampler = self._sampler
+        sampler.plant.SetPositionsAndVelocities(sampler.context, np.concatenate([q, v]))
+        sampler.J(self._J)
+        sampler.Jdot_v(self._Jdot_v)
+        # (1)
+        self.error = self.robot.v_of(q, desired.q - q)
+        if toward:
+            self._approach(toward)
+        else:
+            self._aside *= 1.0 - self.time_step / gains.settle
+        error = self.error - self._aside
+        self._sum[stance.free] += self.time_step * error[stance.free]
+        np.clip(self._sum, -self._most, self._most, out=self._sum)
+        wanted = rate**2 * desired.vd + quicker * desired.v
+        wanted += self._kp * error + self._kd * (rate * desired.v - v) + self._ki * self._sum
+        # (2)
+        J = self._J[stance.rows]
+        eased = stance.weight[:, None] * J.T
+        lacking = -gains.foot * (J @ v) - self._Jdot_v[stance.rows] - J @ wanted
+        vd = wanted + eased @ np.linalg.solve(J @ eased + 1e-12 * np.eye(len(J)), lacking)
+        # (3)
+        load = sampler.plant.CalcMassMatrix(sampler.context) @ vd + sampler.h()
+        C = np.vstack([self._J[stance.rows], self._turning[list(stance.gripping)]])
+        planned = [desired.force[list(stance.holding), :axes].ravel(), desired.moment[list(stance.gripping)]]
+        forces = self._distribute(np.concatenate(planned), C[:, self._loose].T, load[self._loose])
+        # (4)
+        torque = np.zeros(len(self.robot.joint_names))
+        asked = load[self._driven] - C[:, self._driven].T @ forces
+        torque[self._motors] = np.clip(asked, -self._limits, self._limits)
+        return self._act(torque, forces, desired)
+
+    def _approach(self, toward: float) -> None:
+        """Moves the place that the arriving limb's foot is led to, by what it goes in a time step."""
+        if self.arriving is None:
+            return
+        limb, hold = self.arriving
+        joints, axes = self.robot.limbs[limb].v, self._axes
+        going = -toward * self.gains.approach * self.wall.normals[hold][:axes]
+        J = self._J[axes * limb : axes * limb + axes, joints]
+        quick = J.T @ np.linalg.solve(J @ J.T + DAMPING**2 * np.eye(axes), going)
+        self._aside[joints] -= self.time_step * quick
+
+    def _distribute(self, planned: Vector, E: Vector, load: Vector) -> Vector:
+        """Contact forces near the planned ones, in their cones, with E forces = load or as near as can be; shape (m,).
+
+        Where a force would leave its cone it is put on the border, and the others make up for it.
+        """
+        ease, forces = self._stance.ease, planned.copy()
+        for _ in range(4):
+            carry = E @ ease @ E.T
+            carry += (1e-9 * np.trace(carry) + 1e-12) * np.eye(len(carry))
+            forces = forces + ease @ E.T @ np.linalg.solve(carry, load - E @ forces)
+            outside, forces = self._inside(forces)
+            if not outside:
+                break
+            ease = ease.copy()
+            for k in outside:
+                ease[k] = ease[:, k] = 0.0
+        return forces
+
+    def _inside(self, forces: Vector) -> tuple[list[slice], Vector]:
+        """The forces moved into their cones, and which had to be moved."""
+        axes, moved = self._axes, []
+        for k, number in enumerate(self._stance.holds):
+            hold = self.wall.holds[number]
+            if hold.grip == "pin":
+                continue
+            mine, n = slice(axes * k, axes * k + axes), self.wall.normals[number][:axes]
+            total = forces[mine] + hold.adhesion * n
+            push = float(n @ total)
+            along = total - push * n
+            least, most = max(push, LEAST), SAFE * hold.friction * max(push, LEAST)
+            slide = float(np.sqrt(along @ along))
+            if push < least or slide > most:
+                if slide > most:
+                    along = along * (most / slide)
+                forces = forces.copy()
+                forces[mine] = least * n + along - hold.adhesion * n
+                moved.append(mine)
+        return moved, forces
+
+    def _act(self, torque: Vector, forces: Vector, desired: Desired) -> Command:
+        """The command that goes with torques and contact forces."""
+        stance, axes, robot = self._stance, self._axes, self.robot
+        held = axes * len(stance.holding)
+        force, moment = np.zeros((len(robot.limbs), 3)), np.zeros(len(robot.limbs))
+        force[list(stance.holding), :axes] = forces[:held].reshape(-1, axes)
+        applied = np.zeros(len(robot.velocity_names))
+        applied[robot.joint_v] = torque
+        for k, limb in enumerate(stance.gripping, start=held):
+            most = self.wall.holds[stance.holds[stance.holding.index(limb)]].max_moment
+            moment[limb] = np.clip(forces[k], -most, most)
+            applied += moment[limb] * self._turning[limb]
+        return Command(torque, moment, force, applied)

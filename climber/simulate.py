@@ -1,0 +1,128 @@
+"""Plans climbed in contact simulation: do the robots fall, slip, or keep to the plan?
+
+The world is that of `climber.simulation_model`, and every robot's motors do what `climber.controller` says. Robots and
+holds can be made to differ from what the plan was made for, which controllers are not told. docs/simulation.md says
+what is modelled and what is not.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+
+from climber.plan_file import Plan
+from climber.simulation import SLIP_LIMIT, Perturbation, Simulation
+from climber.simulation_loop import Loop, Setting
+
+TIME_STEP = 0.001  # [s]
+
+
+def simulate(
+    plan: Plan | Setting,
+    perturbation: Perturbation | None = None,
+    slip_limit: float = SLIP_LIMIT,
+    time_step: float = TIME_STEP,
+) -> Simulation:
+    """Climbs a plan.
+
+    Args:
+        plan: The plan.
+        perturbation: How the world differs from the plan's; by default it does not.
+        slip_limit: What a holding foot may slip [m].
+        time_step: Of the simulation and of the controllers [s].
+
+    Raises:
+        ClimberError: If the plan's scenario or a model cannot be read, or does not go with the plan.
+    """
+    setting = plan if isinstance(plan, Setting) else Setting(plan)
+    perturbation = perturbation or Perturbation()
+    began = time.perf_counter()
+    loop = Loop(setting, perturbation, time_step)
+    while loop.going:
+        loop.step()
+    return Simulation(
+        robots=tuple(watch.result() for watch in loop.watches),
+        perturbation=perturbation,
+        planned=setting.duration,
+        simulated=loop.elapsed,
+        seconds=time.perf_counter() - began,
+        slip_limit=slip_limit,
+    )
+
+
+@dataclass(frozen=True)
+class Survival:
+    """How one perturbation was survived, over several seeds.
+
+    Attributes:
+        perturbation: The perturbation, with the first of the seeds.
+        runs: The simulations, a seed each.
+    """
+
+    perturbation: Perturbation
+    runs: tuple[Simulation, ...]
+
+    @property
+    def survived(self) -> int:
+        """How many runs ended without a fall and without a slip beyond the limit."""
+        return sum(run.ok for run in self.runs)
+
+    @property
+    def falls(self) -> int:
+        """How many runs ended in a fall."""
+        return sum(run.fell for run in self.runs)
+
+    @property
+    def slip(self) -> float:
+        """Worst slip in a run without a fall [m]; NaN if there is none."""
+        return max((run.slip for run in self.runs if not run.fell), default=float("nan"))
+
+
+def monte_carlo(
+    plan: Plan,
+    perturbations: Sequence[Perturbation],
+    runs: int,
+    slip_limit: float = SLIP_LIMIT,
+    processes: int | None = None,
+) -> list[Survival]:
+    """Climbs a plan under each of several perturbations with `runs` seeds, counted up from that of the perturbation.
+
+    Args:
+        plan: The plan.
+        perturbations: How the world differs from the plan's.
+        runs: How many seeds each is tried with.
+        slip_limit: What a holding foot may slip [m].
+        processes: How many processes share the work; by default one a processor. The results do not depend on it.
+
+    Raises:
+        ClimberError: If the plan's scenario or a model cannot be read, or does not go with the plan.
+    """
+    tasks = [replace(one, seed=one.seed + run) for one in perturbations for run in range(runs)]
+    done = iter(_all(plan, tasks, slip_limit, min(len(tasks), processes or os.cpu_count() or 1)))
+    return [Survival(one, tuple(next(done) for _ in range(runs))) for one in perturbations]
+
+
+def _all(plan: Plan, tasks: Sequence[Perturbation], slip_limit: float, processes: int) -> Iterator[Simulation]:
+    if processes == 1:
+        setting = Setting(plan)
+        yield from (simulate(setting, task, slip_limit) for task in tasks)
+        return
+    Setting(plan)  # what is wrong with the plan is told before there are processes
+    with ProcessPoolExecutor(processes, get_context("spawn"), _settle, (plan, slip_limit)) as pool:
+        yield from pool.map(_one, tasks)
+
+
+_worker: list[tuple[Setting, float]] = []  # of a worker process: what it simulates
+
+
+def _settle(plan: Plan, slip_limit: float) -> None:
+    _worker[:] = [(Setting(plan), slip_limit)]
+
+
+def _one(task: Perturbation) -> Simulation:
+    (setting, slip_limit) = _worker[0]
+    return simulate(setting, task, slip_limit)

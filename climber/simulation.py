@@ -1,0 +1,146 @@
+"""What a simulation is of and what came of it: types only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from climber.stance import Vector
+from climber.wall import Wall
+
+SLIP_LIMIT = 0.001  # [m]
+
+
+@dataclass(frozen=True)
+class Perturbation:
+    """How the world differs from the one that was planned for.
+
+    Attributes:
+        friction_scale: Friction coefficients of all holds, relative to the plan's.
+        mass_scale: Masses and inertias of the robots, relative to their models'.
+        hold_error: Holds are displaced at random by up to this much [m].
+        start_error: Pelvises start displaced at random by up to this much [m], and turned by up to ten times as many
+            radians.
+        seed: Of what is random.
+    """
+
+    friction_scale: float = 1.0
+    mass_scale: float = 1.0
+    hold_error: float = 0.0
+    start_error: float = 0.0
+    seed: int = 0
+
+    def wall(self, wall: Wall, dimension: int) -> Wall:
+        """The wall as it really is; holds are displaced in as many axes as robots move in."""
+        rng = np.random.default_rng([self.seed, 0])
+        holds = []
+        for hold in wall.holds:
+            position = np.array(hold.position)
+            position[:dimension] += self.hold_error * in_ball(rng, dimension)
+            friction = self.friction_scale * hold.friction
+            holds.append(replace(hold, position=tuple(position.tolist()), friction=friction))
+        return replace(wall, holds=tuple(holds))
+
+
+def in_ball(rng: np.random.Generator, dimension: int) -> Vector:
+    """A point of the unit ball at random, shape (dimension,)."""
+    direction = rng.normal(size=dimension)
+    result: Vector = direction / np.linalg.norm(direction) * rng.uniform() ** (1.0 / dimension)
+    return result
+
+
+@dataclass(frozen=True)
+class Track:
+    """What a robot did, sampled.
+
+    Attributes:
+        time: Since the beginning [s], shape (K,).
+        phase: Which phase of the plan it was in, shape (K,).
+        q: Positions, shape (K, nq).
+        v: Velocities, shape (K, nv).
+        torque: Joint torques [N m], shape (K, num_joints).
+        force: Contact forces that the controller meant to make, in W [N], shape (K, num_limbs, 3).
+    """
+
+    time: Vector
+    phase: Vector
+    q: Vector
+    v: Vector
+    torque: Vector
+    force: Vector
+
+
+@dataclass(frozen=True)
+class RobotRun:
+    """How one robot fared.
+
+    Attributes:
+        name: Its name.
+        limbs: Names of its limbs, in limb order.
+        positions: Names of the columns of the track's q.
+        velocities: Names of the columns of its v.
+        fell: Why it is said to have fallen, and when; empty if it did not.
+        slip: Worst slip of a holding foot [m]: how far its contact point has moved along the hold since it took hold,
+            rolling of the foot removed.
+        slipped: Which foot that was, on which hold, and when.
+        pelvis_error: Worst distance of the pelvis from where it should have been [m].
+        joint_error: Worst error of a joint of a limb that holds nothing [rad].
+        torque: Greatest torque of each joint by name [N m].
+        effort: What each joint's motor can do by name [N m].
+        track: What it did.
+    """
+
+    name: str
+    limbs: tuple[str, ...]
+    positions: tuple[str, ...]
+    velocities: tuple[str, ...]
+    fell: str
+    slip: float
+    slipped: str
+    pelvis_error: float
+    joint_error: float
+    torque: dict[str, float]
+    effort: dict[str, float]
+    track: Track
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A plan, simulated once.
+
+    Attributes:
+        robots: How each robot fared.
+        perturbation: How the world differed from the plan's.
+        planned: Duration of the plan [s].
+        simulated: Duration of the simulation [s].
+        seconds: What it took [s].
+        slip_limit: What a holding foot may slip [m].
+    """
+
+    robots: tuple[RobotRun, ...]
+    perturbation: Perturbation
+    planned: float
+    simulated: float
+    seconds: float
+    slip_limit: float = SLIP_LIMIT
+
+    @property
+    def fell(self) -> bool:
+        """Whether a robot fell."""
+        return any(robot.fell for robot in self.robots)
+
+    @property
+    def slip(self) -> float:
+        """Worst slip of a holding foot [m]."""
+        return max(robot.slip for robot in self.robots)
+
+    @property
+    def ok(self) -> bool:
+        """Nobody fell and no foot slipped beyond the limit."""
+        return not self.fell and self.slip <= self.slip_limit
+
+    @property
+    def real_time_factor(self) -> float:
+        """Seconds simulated in a second."""
+        return self.simulated / self.seconds

@@ -1,0 +1,194 @@
+"""The loop of a simulation: controllers, world, watches and the plan's clock in turn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from climber.controller import Controller
+from climber.dynamics import Sampler
+from climber.exceptions import PlanFileError
+from climber.plan_file import Plan
+from climber.reference import Reference
+from climber.robot import Model, Robot
+from climber.scenario import scenario_from_text
+from climber.simulation import Perturbation, in_ball
+from climber.simulation_model import Touch, World
+from climber.simulation_watch import Watch
+from climber.stance import Vector
+
+STUCK = 2.0  # the plan's clock may stand still for so long [s]
+SETTLE = 0.2  # how long the robots are watched after the plan's end [s]
+CATCH_UP = 0.05  # time in which the clock goes from standing to its full pace [s]
+NEAR = 0.0001  # a foot so near to its hold has reached it [m]
+RECORD = 100.0  # samples of a recording [Hz]
+
+
+class Setting:
+    """What a plan is simulated with: its wall, its robots and what they are to do.
+
+    Attributes:
+        plan: The plan.
+        wall: The wall that was planned for.
+        references: What each robot is to do.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        """Reads the scenario within the plan and the models.
+
+        Raises:
+            ClimberError: If they cannot be read, or the plan does not go with them.
+        """
+        folder = Path(plan.scenario_path).absolute().parent
+        scenario = scenario_from_text(plan.scenario_text, plan.scenario_path, folder)
+        self.plan, self.wall = plan, scenario.build_wall()
+        robots = [Robot(Model.load(part.model, folder), self.wall.gravity) for part in plan.robots]
+        self.references = [Reference(part, robot) for part, robot in zip(plan.robots, robots, strict=True)]
+        holds = len(self.wall.holds)
+        for number, part in enumerate(plan.robots):
+            for j, phase in enumerate(part.phases):
+                for k, contact in enumerate(phase.contacts):
+                    if contact.hold >= holds:
+                        raise PlanFileError(
+                            f"robots[{number}].phases[{j}].contacts[{k}].hold: given {contact.hold}; allowed: 0 to "
+                            f"{holds - 1}"
+                        )
+
+    @property
+    def duration(self) -> float:
+        """How long the plan takes [s]."""
+        return max(robot.duration for robot in self.plan.robots)
+
+
+class Loop:
+    """A climb in simulation.
+
+    Attributes:
+        elapsed: Time since it began [s].
+        clock: Time of the plan that it has come to [s].
+        watches: Who looks after the robots.
+        world: The world.
+    """
+
+    def __init__(self, setting: Setting, perturbation: Perturbation, time_step: float) -> None:
+        robots = [reference.robot for reference in setting.references]
+        wall = perturbation.wall(setting.wall, max(robot.dimension for robot in robots))
+        moved = wall.positions - setting.wall.positions
+        self._moved = moved
+        pins = {
+            self._touch(number, limb, hold, point)
+            for number, reference in enumerate(setting.references)
+            for limb, hold, point in reference.contacts()
+            if wall.holds[hold].grip == "pin"
+        }
+        self.world = World(wall, robots, sorted(pins, key=str), time_step, perturbation.mass_scale)
+        controllers = [Controller(reference, setting.wall, time_step) for reference in setting.references]
+        self.watches = [Watch(i, controller, self.world) for i, controller in enumerate(controllers)]
+        self._end, self.clock = max(controller.last for controller in controllers), controllers[0].begin
+        self.elapsed, self._rate, self._quicker, self._stood, self._over = 0.0, 1.0, 0.0, 0.0, 0.0
+        rng = np.random.default_rng([perturbation.seed, 1])
+        self.world.place([self._posture(watch, perturbation.start_error, rng) for watch in self.watches])
+        self._touch_all()
+
+    def _touch(self, robot: int, limb: int, hold: int, point: Vector) -> Touch:
+        x, y, z = (point + self._moved[hold]).tolist()
+        return Touch(robot, limb, hold, (x, y, z))
+
+    def _touch_all(self) -> None:
+        self.world.touch(
+            [
+                self._touch(watch.number, limb, hold, point)
+                for watch in self.watches
+                for limb, (hold, point) in watch.controller.touches.items()
+            ]
+        )
+
+    def _posture(self, watch: Watch, error: float, rng: np.random.Generator) -> Vector:
+        """The posture that the plan begins with, its pelvis displaced, its feet on the holds as they really are."""
+        controller = watch.controller
+        robot, q = controller.robot, controller.reference.at(0, controller.begin).q.copy()
+        q[robot.origin_q] += error * in_ball(rng, len(robot.origin_q))
+        q[robot.angle_q] += 10.0 * error * in_ball(rng, len(robot.angle_q))
+        touches = controller.touches
+        goals = np.array([point + self._moved[hold] for hold, point in touches.values()])
+        sampler = Sampler(robot, list(touches))
+        axes = robot.dimension
+        J = np.empty((sampler.num_rows, len(robot.velocity_names)))
+        ease = np.ones(J.shape[1])
+        ease[robot.base_v] = 1e-4  # limbs give way to the pelvis
+        for _ in range(30):
+            sampler.plant.SetPositions(sampler.context, q)
+            miss = (goals - robot.foot_positions(sampler.context)[list(touches)])[:, :axes].ravel()
+            if np.abs(miss).max() < 1e-9:
+                break
+            sampler.J(J)
+            eased = ease[:, None] * J.T
+            q += robot.qdot(q, eased @ np.linalg.solve(J @ eased + 1e-12 * np.eye(len(J)), miss))
+        if np.abs(miss).max() > 1e-4:
+            watch.fell = f"its feet do not reach the holds that it is to begin on, by {1e3 * np.abs(miss).max():.1f} mm"
+        return q
+
+    @property
+    def going(self) -> bool:
+        """Whether there is more to come."""
+        return self._over < SETTLE and not any(watch.fell for watch in self.watches)
+
+    def step(self) -> None:
+        """Commands, one step of the world, a look at it, and the clock."""
+        world, commands = self.world, []
+        for watch, (q, v) in zip(self.watches, world.state(), strict=True):
+            controller = watch.controller
+            toward = self._toward(watch) if controller.landing else 0.0
+            command = controller.command(self.clock, self._rate, self._quicker, q, v, toward)
+            commands.append(command)
+            if round(self.elapsed / world.time_step) % round(1.0 / (RECORD * world.time_step)) == 0:
+                watch.record(self.elapsed, q, v, command)
+        world.step([command.applied for command in commands])
+        self.elapsed += world.time_step
+        for watch, command in zip(self.watches, commands, strict=True):
+            watch.look(self.elapsed, command)
+        self._tick()
+
+    def _toward(self, watch: Watch) -> float:
+        """Which way a limb that ended its swing off its hold has to go on: 1 towards it, -1 out of it."""
+        gap = self._gap(watch)
+        return float(np.sign(gap)) if abs(gap) > NEAR else 0.0
+
+    def _gap(self, watch: Watch) -> float:
+        """How far the foot of the limb that is to take hold is from the hold, along the normal [m]."""
+        arriving = watch.controller.arriving
+        if arriving is None or self.world.wall.holds[arriving[1]].grip == "pin":
+            return 0.0
+        limb, hold = arriving
+        place, _, _ = self.world.foot(watch.number, limb)
+        return float(self.world.wall.normals[hold] @ (place - self.world.wall.positions[hold]))
+
+    def _tick(self) -> None:
+        """The plan's clock goes on, as fast as the tracking allows, and phases change."""
+        step = self.world.time_step
+        pace = min(watch.controller.pace for watch in self.watches)
+        change = float(np.clip(pace - self._rate, -step / CATCH_UP, step / CATCH_UP))
+        rate = min(max(self._rate + change, 0.0), 1.0)
+        limit = min([self._end, *(watch.controller.end for watch in self.watches)])
+        after = min(self.clock + rate * step, limit)
+        standing = after <= self.clock
+        self._rate, self._quicker = (0.0, 0.0) if standing else (rate, change / step)
+        self._stood = self._stood + step if standing else 0.0
+        self.clock = after
+        changed = False
+        for watch in self.watches:
+            if not watch.controller.done and self.clock >= watch.controller.end:
+                watch.controller.landing = abs(self._gap(watch)) > NEAR
+                if not watch.controller.landing:
+                    watch.controller.advance()
+                    watch.enter()
+                    changed = True
+        if changed:
+            self._touch_all()
+            self._stood = 0.0
+        if self.clock >= self._end:
+            self._over += step
+        elif self._stood > STUCK:
+            for watch in self.watches:
+                watch.fell = f"the clock stands still at {self.clock:.2f} s of the plan: {watch.controller.waiting}"

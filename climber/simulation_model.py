@@ -1,0 +1,258 @@
+"""The world that a plan is simulated in: the robots and the holds in one Drake plant with discrete contact.
+
+A foot is a small sphere about the origin of its frame. A hold is a thin box below its patch, lowered by the radius of
+the spheres, so that a foot that stands on the patch has its centre there, as in the plan. Friction is the hold's own.
+A pin is a ball joint that is closed while it is gripped, and a magnet pulls the foot that is on it. Nothing else
+touches: limbs, pelvis and obstacles have no shapes here, since what a plan says of clearances `climber.verify` checks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import (
+    AddContactMaterial,
+    Box,
+    CollisionFilterDeclaration,
+    GeometryId,
+    GeometrySet,
+    ProximityProperties,
+    SceneGraph,
+    Sphere,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import ContactModel, CoulombFriction, DiscreteContactApproximation, MultibodyPlant
+from pydrake.multibody.tree import JacobianWrtVariable, MultibodyConstraintId, RigidBody, SpatialInertia
+from pydrake.systems.framework import DiagramBuilder
+
+from climber.robot import Robot
+from climber.stance import Vector
+from climber.wall import Hold, Wall
+
+FOOT_RADIUS = 0.0005  # [m]
+THICKNESS = 0.004  # of the boxes [m]
+RIM = 0.002  # the box reaches this far beyond the patch, so that a foot at its edge does not stand on an edge [m]
+DEPTH = 0.005  # least half extent of the box across the wall plane [m]
+STIFFNESS = 1e7  # of a contact [N/m]; beyond what Drake's solver resolves in a step, so that it is nearly rigid
+RELAXATION = 1e-3  # time in which an overlap goes down [s]
+
+
+@dataclass(frozen=True)
+class Touch:
+    """A foot on a hold, or about to be.
+
+    Attributes:
+        robot: Index of the robot.
+        limb: Index of the limb.
+        hold: Number of the hold.
+        point: Where the plan has the foot, in W [m], (x, y, z).
+    """
+
+    robot: int
+    limb: int
+    hold: int
+    point: tuple[float, float, float]
+
+
+class World:
+    """Robots and holds in contact, stepped in time.
+
+    Attributes:
+        robots: The robots; their own plants have no contact.
+        wall: The wall as it really is, holds displaced and friction scaled.
+        time_step: Of the simulation [s].
+        plant: The plant that holds them all.
+    """
+
+    def __init__(
+        self,
+        wall: Wall,
+        robots: Sequence[Robot],
+        pins: Sequence[Touch],
+        time_step: float,
+        mass_scale: float = 1.0,
+    ) -> None:
+        """Builds the plant.
+
+        Args:
+            wall: The wall as it really is.
+            robots: The robots.
+            pins: Every grip on a pin that there will ever be; its point is where the pin's ball is.
+            time_step: Of the simulation [s].
+            mass_scale: Masses and inertias of all bodies, relative to the models'.
+        """
+        self.wall, self.robots, self.time_step = wall, tuple(robots), time_step
+        builder: Any = DiagramBuilder()
+        self.plant = builder.AddSystem(MultibodyPlant(time_step))
+        self._scene_graph = builder.AddSystem(SceneGraph())
+        # Models first, geometry after: only what is added by hand can touch.
+        self._instances = [robot.model.add_to(self.plant, None, f"robot_{i}") for i, robot in enumerate(robots)]
+        self.plant.RegisterAsSourceForSceneGraph(self._scene_graph)
+        self.plant.set_contact_model(ContactModel.kPoint)
+        self.plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
+        self.plant.SetUseSampledOutputPorts(False)
+        self.plant.mutable_gravity_field().set_gravity_vector(wall.gravity)
+        frames = [
+            [self.plant.GetFrameByName(limb.foot, instance) for limb in robot.limbs]
+            for robot, instance in zip(robots, self._instances, strict=True)
+        ]
+        self._frames = frames
+        slippery = _Friction(wall)
+        self._feet = [
+            [self._add_foot(frame, f"foot_{i}_{j}", slippery.foot) for j, frame in enumerate(row)]
+            for i, row in enumerate(frames)
+        ]
+        self._holds = [self._add_hold(hold, number, slippery.of(hold)) for number, hold in enumerate(wall.holds)]
+        self._pins = self._add_pins(pins)
+        self.plant.Finalize()
+        builder.Connect(self._scene_graph.get_query_output_port(), self.plant.get_geometry_query_input_port())
+        builder.Connect(
+            self.plant.get_geometry_pose_output_port(),
+            self._scene_graph.get_source_pose_port(self.plant.get_source_id()),
+        )
+        self._diagram = builder.Build()
+        self._root = self._diagram.CreateDefaultContext()
+        self.context = self.plant.GetMyMutableContextFromRoot(self._root)
+        self._filters = self._scene_graph.collision_filter_manager(
+            self._scene_graph.GetMyMutableContextFromRoot(self._root)
+        )
+        if mass_scale != 1.0:
+            self._scale_masses(mass_scale)
+        self._applied = self.plant.get_applied_generalized_force_input_port().FixValue(
+            self.context, np.zeros(self.plant.num_velocities())
+        )
+        self._q = [self._places(robot.position_names, i, positions=True) for i, robot in enumerate(self.robots)]
+        self._v = [self._places(robot.velocity_names, i, positions=False) for i, robot in enumerate(self.robots)]
+        self.touch([])
+
+    def _add_foot(self, frame: Any, name: str, friction: float) -> GeometryId:
+        pose = frame.GetFixedPoseInBodyFrame()
+        properties = _material(friction)
+        return self.plant.RegisterCollisionGeometry(frame.body(), pose, Sphere(FOOT_RADIUS), name, properties)
+
+    def _add_hold(self, hold: Hold, number: int, friction: float) -> GeometryId:
+        along, out = self.wall.tangents[number], self.wall.normals[number]
+        R_WH = RotationMatrix(np.column_stack([along, out, np.cross(along, out)]))
+        p_WH = self.wall.positions[number] - (FOOT_RADIUS + THICKNESS / 2) * out
+        half = hold.half_width + RIM
+        box = Box(2 * half, THICKNESS, 2 * max(half, DEPTH))
+        body = self.plant.world_body()
+        properties = _material(friction)
+        return self.plant.RegisterCollisionGeometry(body, RigidTransform(R_WH, p_WH), box, f"hold_{number}", properties)
+
+    def _add_pins(self, pins: Sequence[Touch]) -> dict[Touch, MultibodyConstraintId]:
+        """A ball joint for each, to a body welded to the world: Drake's ball constraint does not take the world."""
+        if not pins:
+            return {}
+        inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.01)
+        pegs: RigidBody = self.plant.AddRigidBody("pegs", self.plant.AddModelInstance("pegs"), inertia)
+        self.plant.WeldFrames(self.plant.world_frame(), pegs.body_frame())
+        result = {}
+        for pin in pins:
+            frame = self._frames[pin.robot][pin.limb]
+            foot = frame.GetFixedPoseInBodyFrame().translation()
+            result[pin] = self.plant.AddBallConstraint(frame.body(), foot, pegs, np.array(pin.point))
+        return result
+
+    def _scale_masses(self, scale: float) -> None:
+        for instance in self._instances:
+            for index in self.plant.GetBodyIndices(instance):
+                body = self.plant.get_body(index)
+                inertia = body.CalcSpatialInertiaInBodyFrame(self.context)
+                scaled = SpatialInertia(scale * inertia.get_mass(), inertia.get_com(), inertia.get_unit_inertia())
+                body.SetSpatialInertiaInBodyFrame(self.context, scaled)
+
+    def _places(self, names: Sequence[str], robot: int, *, positions: bool) -> Vector:
+        """Where a robot's positions or velocities, named as in its own plant, are in this one."""
+        instance = self._instances[robot]
+        if positions:
+            known = self.plant.GetPositionNames(instance, False, False)
+            every = self.plant.GetPositionsFromArray(instance, np.arange(float(self.plant.num_positions())))
+        else:
+            known = self.plant.GetVelocityNames(instance, False, False)
+            every = self.plant.GetVelocitiesFromArray(instance, np.arange(float(self.plant.num_velocities())))
+        return np.array([int(every[list(known).index(name)]) for name in names])
+
+    def touch(self, touches: Sequence[Touch]) -> None:
+        """Lets these feet touch these holds, closes these pins, and lets nothing else touch or hold."""
+        feet = GeometrySet([foot for row in self._feet for foot in row])
+        declaration = CollisionFilterDeclaration().ExcludeBetween(feet, GeometrySet(self._holds)).ExcludeWithin(feet)
+        for touch in touches:
+            if self.wall.holds[touch.hold].grip != "pin":
+                foot = GeometrySet([self._feet[touch.robot][touch.limb]])
+                declaration.AllowBetween(foot, GeometrySet([self._holds[touch.hold]]))
+        self._filters.Apply(declaration)
+        self._pulls = [
+            (
+                self._frames[touch.robot][touch.limb],
+                -self.wall.holds[touch.hold].adhesion * self.wall.normals[touch.hold],
+            )
+            for touch in touches
+            if self.wall.holds[touch.hold].adhesion > 0.0
+        ]
+        for pin, constraint in self._pins.items():
+            self.plant.SetConstraintActiveStatus(self.context, constraint, pin in touches)
+
+    def place(self, q: Sequence[Vector]) -> None:
+        """Puts the robots into postures, at rest; positions as in their own plants."""
+        every = self.plant.GetPositions(self.context)
+        for places, mine in zip(self._q, q, strict=True):
+            every[places] = mine
+        self.plant.SetPositions(self.context, every)
+        self.plant.SetVelocities(self.context, np.zeros(self.plant.num_velocities()))
+
+    def state(self) -> list[tuple[Vector, Vector]]:
+        """Positions and velocities of each robot, as in its own plant."""
+        q, v = self.plant.GetPositions(self.context), self.plant.GetVelocities(self.context)
+        return [(q[mine], v[yours]) for mine, yours in zip(self._q, self._v, strict=True)]
+
+    def step(self, forces: Sequence[Vector]) -> None:
+        """Goes on by one time step under generalised forces of each robot [N, N m], shape (nv,) each."""
+        every = np.zeros(self.plant.num_velocities())
+        for places, mine in zip(self._v, forces, strict=True):
+            every[places] = mine
+        for frame, pull in self._pulls:
+            every += self._jacobian(frame).T @ pull
+        self._applied.GetMutableData().get_mutable_value().set_value(every)
+        self._root.SetDiscreteState(self._diagram.EvalUniquePeriodicDiscreteUpdate(self._root))
+
+    def _jacobian(self, frame: Any) -> Vector:
+        """Of the origin of a frame by the plant's velocities, shape (3, nv)."""
+        world, origin = self.plant.world_frame(), np.zeros(3)
+        wrt = JacobianWrtVariable.kV
+        result: Vector = self.plant.CalcJacobianTranslationalVelocity(self.context, wrt, frame, origin, world, world)
+        return result
+
+    def foot(self, robot: int, limb: int) -> tuple[Vector, Vector, Vector]:
+        """Place of a foot's centre, its velocity and its angular velocity in W [m, m/s, rad/s], shape (3,) each."""
+        frame = self._frames[robot][limb]
+        velocity = frame.CalcSpatialVelocityInWorld(self.context)
+        return frame.CalcPoseInWorld(self.context).translation(), velocity.translational(), velocity.rotational()
+
+
+class _Friction:
+    """Coefficients of feet and holds such that Drake's combination of the two is the hold's own.
+
+    Drake combines m_1 and m_2 to 2 m_1 m_2 / (m_1 + m_2). With the feet rougher than every hold, m_2 follows.
+    """
+
+    def __init__(self, wall: Wall) -> None:
+        self.foot = 1.0 + max(hold.friction for hold in wall.holds)
+
+    def of(self, hold: Hold) -> float:
+        return hold.friction * self.foot / (2 * self.foot - hold.friction)
+
+
+def _material(friction: float) -> ProximityProperties:
+    properties = ProximityProperties()
+    AddContactMaterial(
+        dissipation=0.0,
+        point_stiffness=STIFFNESS,
+        friction=CoulombFriction(friction, friction),
+        properties=properties,
+    )
+    properties.AddProperty("material", "relaxation_time", RELAXATION)
+    return properties
