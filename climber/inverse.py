@@ -64,7 +64,7 @@ class LimbInverse(Protocol):
 
         Args:
             parent: K poses of the link that carries the first joint solved for.
-            target: Where the foot must be in W [m], shape (3,).
+            target: Where the foot must be in W [m], shape (3,), or (K, 3).
             branch: The branch.
 
         Returns:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robots import MODELS, Standing, clear_configurations, every_model, kinematics, robot, standing
+from robots import MODELS, Standing, clear_configurations, every_star, kinematics, robot, standing
 
 from climber.balance import Region
 from climber.manifold import Body, Chart, Manifold, Margins
@@ -46,7 +46,7 @@ def off_contacts(here: Standing, q: Vector) -> float:
     return max(np.linalg.norm(feet[:, i] - point, axis=1).max() for i, point in here.manifold.points.items())
 
 
-@every_model
+@every_star
 @pytest.mark.parametrize("place", range(6))
 def test_coordinates_of_a_configuration_expand_to_it(model: str, place: int) -> None:
     here = case(model, place)
@@ -57,7 +57,7 @@ def test_coordinates_of_a_configuration_expand_to_it(model: str, place: int) -> 
         assert chart.coordinates(q) == pytest.approx(chart.coordinates(here.q[None]), abs=1e-12)
 
 
-@every_model
+@every_star
 @settings(max_examples=25, deadline=None)
 @given(place=places, seed=st.integers(0, 2**32 - 1))
 def test_postures_on_the_contacts_lie_in_their_charts(model: str, place: int, seed: int) -> None:
@@ -71,10 +71,11 @@ def test_postures_on_the_contacts_lie_in_their_charts(model: str, place: int, se
             chart = plain(here.manifold, posture, root)
             again, _ = chart.expand(chart.coordinates(posture[None]))
             assert np.exp(1j * again[0]) == pytest.approx(np.exp(1j * posture), abs=1e-9)  # up to whole turns
-            assert again[0, :2] == pytest.approx(posture[:2], abs=1e-12)
+            origin = here.body.robot.origin_q
+            assert again[0, origin] == pytest.approx(posture[origin], abs=1e-12)
 
 
-@every_model
+@every_star
 @settings(max_examples=25, deadline=None)
 @given(place=places, seed=st.integers(0, 2**32 - 1))
 def test_whole_chart_keeps_the_contacts_as_far_as_limbs_reach(model: str, place: int, seed: int) -> None:
@@ -93,7 +94,7 @@ def test_whole_chart_keeps_the_contacts_as_far_as_limbs_reach(model: str, place:
             assert not missed.any() or off_contacts(here, q[missed]) > 1e-7
 
 
-@every_model
+@every_star
 def test_reach_is_the_least_of_the_limbs_that_follow(model: str) -> None:
     here = case(model, 0)
     chart = plain(here.manifold, here.q)
@@ -102,41 +103,46 @@ def test_reach_is_the_least_of_the_limbs_that_follow(model: str) -> None:
         + np.random.default_rng(0).normal(size=(50, len(chart.independent))) * 0.5 / chart.scale
     )
     q, reach = chart.expand(u)
-    pelvis = here.body.kinematics.pelvis(q[:, :3])
+    pelvis = here.body.kinematics.pelvis(q[:, here.body.robot.base_q])
     slack = []
     for i, point in here.manifold.points.items():
         inverse, limb = here.body.inverse[i], here.body.robot.limbs[i]
         assert inverse is not None
-        slack.append(inverse.solve(pelvis, q[:, limb.q[: inverse.leading]], point)[1][:, 0])
+        within = inverse.solve(pelvis, q[:, limb.q[: inverse.leading]], point)[1]
+        slack.append(within[:, chart.branches[i]])
     assert reach == pytest.approx(np.min(slack, axis=0), abs=1e-12)
 
 
-@every_model
+@every_star
 @pytest.mark.parametrize("place", range(4))
 def test_coordinates_are_as_many_as_the_contacts_leave_free(model: str, place: int) -> None:
     here = case(model, place)
-    nq = here.body.robot.plant.num_positions()
+    nq, rows = here.body.robot.plant.num_positions(), here.body.robot.dimension * len(here.contacts)
     for chart in charts(here):
-        assert len(chart.independent) == nq - 2 * len(here.contacts)
+        assert len(chart.independent) == nq - rows
         assert sorted([*chart.independent, *chart.dependent]) == list(range(nq))
         J = here.body.kinematics.foot_jacobians(here.q[None], sorted(chart.points))[0].reshape(-1, nq)
-        assert np.linalg.matrix_rank(J[:, chart.dependent]) == 2 * len(here.contacts)
+        assert np.linalg.matrix_rank(J[:, chart.dependent]) == rows
         assert np.hstack([chart.free, chart.tied]) == pytest.approx(
             np.eye(nq)[:, [*chart.independent, *chart.dependent]], abs=0
         )
 
 
 def straight_at(here: Standing, limb: int) -> float:
-    """The angle of a limb's last joint at which it is straight [rad], within 2 mrad."""
-    kinematics = here.body.kinematics
-    joints = np.tile(here.q[here.body.robot.limbs[limb].q], (4001, 1))
-    joints[:, -1] = np.linspace(-np.pi, np.pi, 4001)
-    pelvis, chain = kinematics.pelvis(np.zeros((4001, 3))), kinematics.chains[limb]
+    """The angle of the joint that bends a limb at which it is straight [rad], within 2 mrad."""
+    kinematics, robot = here.body.kinematics, here.body.robot
+    joints = np.tile(here.q[robot.limbs[limb].q], (4001, 1))
+    inverse = here.body.inverse[limb]
+    assert inverse is not None
+    joint = inverse.bend(0, 0.0)[0]
+    joints[:, joint] = np.linspace(-np.pi, np.pi, 4001)
+    pelvis, chain = kinematics.pelvis(np.zeros((4001, len(robot.base_q)))), kinematics.chains[limb]
     links = chain.links(pelvis, joints)
-    return float(joints[np.linalg.norm(chain.foot_position(pelvis, links) - links[-2].origin, axis=1).argmax(), -1])
+    distance = np.linalg.norm(chain.foot_position(pelvis, links) - links[joint - 1].origin, axis=1)
+    return float(joints[distance.argmax(), joint])
 
 
-@every_model
+@every_star
 def test_rooted_chart_passes_smoothly_through_a_straight_limb(model: str) -> None:
     smooth = 0
     for here, root in [(one, root) for one in cases(model) for root in one.manifold.points]:
@@ -144,7 +150,8 @@ def test_rooted_chart_passes_smoothly_through_a_straight_limb(model: str) -> Non
         assert inverse is not None
         chart = plain(here.manifold, here.q, root)
         u = np.tile(chart.coordinates(here.q), (401, 1))
-        u[:, chart.independent == places[-1]] = straight_at(here, root) + np.linspace(-0.02, 0.02, 401)[:, None]
+        joint = places[inverse.bend(0, 0.0)[0]]
+        u[:, chart.independent == joint] = straight_at(here, root) + np.linspace(-0.02, 0.02, 401)[:, None]
         q, reach = chart.expand(u)
         branch = [inverse.branch(row[places]) for row in q]
         assert {branch[0], branch[-1]} == {0, 1} and np.abs(np.diff(branch)).sum() == 1
@@ -172,7 +179,7 @@ def test_plain_chart_does_not_contain_the_other_side_of_a_straight_limb() -> Non
         assert q[0, rest] == pytest.approx(here.q[rest], abs=1e-9)
 
 
-@every_model
+@every_star
 def test_branches_are_those_of_each_limb(model: str) -> None:
     here = case(model, 0)
     expected = [
@@ -198,10 +205,10 @@ def by_parts(manifold: Manifold, q: Vector) -> float:
     machine, margins = manifold.body.robot, manifold.margins
     context = machine.context()
     machine.plant.SetPositions(context, q)
-    x = machine.center_of_mass(context)[0]
-    lower, upper = manifold.support.abscissas
-    room = min(margins.balance, 0.2 * (upper - lower))
-    parts = [x - lower - room, upper - room - x]
+    support = manifold.support
+    borders = support.b - support.A @ machine.center_of_mass(context)
+    assert manifold.balance(q[None])[0] == pytest.approx(borders, abs=1e-12)
+    parts = [borders.min() - min(margins.balance, 0.4 * support.depth)]
     for limb in machine.limbs:
         low, high = limb.one_turn
         parts += [(q[limb.q] - low).min() - margins.joint, (high - q[limb.q]).min() - margins.joint]
@@ -210,7 +217,7 @@ def by_parts(manifold: Manifold, q: Vector) -> float:
     return float(min(parts))
 
 
-@every_model
+@every_star
 @settings(max_examples=20, deadline=None)
 @given(place=places, seed=st.integers(0, 2**32 - 1))
 def test_slack_is_the_least_of_limits_balance_and_clearance(model: str, place: int, seed: int) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from robots import MODELS, Standing, every_model, robot, standing
+from robots import STARS, Standing, every_star, robot, standing
 from shapely.geometry.base import BaseGeometry
 
 from climber.balance import Region
@@ -72,13 +72,13 @@ def configurations(leg: Leg, step: float = Search.step) -> Vector:
 
 def same_posture(model: str, one: Vector, two: Vector) -> bool:
     """Whether two configurations differ by whole turns of the pelvis at most."""
-    return bool(np.abs(unwound(one, two, int(robot(model).base_q[2])) - two).max() < 1e-9)
+    return bool(np.abs(unwound(one, two, robot(model).angle_q) - two).max() < 1e-9)
 
 
 # --- paths -----------------------------------------------------------------------------------------------------------
 
 
-@every_model
+@every_star
 def test_many_pairs_are_joined_among_them_pairs_that_flip_no_one_and_several_elbows(model: str) -> None:
     joined = found(model)
     assert len(joined) >= 6  # not all can be: a feasible set may be in pieces
@@ -86,7 +86,7 @@ def test_many_pairs_are_joined_among_them_pairs_that_flip_no_one_and_several_elb
     assert numbers >= {0, 1, 2}
 
 
-@every_model
+@every_star
 def test_path_joins_both_postures_each_leg_beginning_where_the_last_one_ended(model: str) -> None:
     for task, legs in found(model):
         ends = [leg.chart.expand(leg.u[[0, -1]])[0] for leg in legs]
@@ -97,7 +97,7 @@ def test_path_joins_both_postures_each_leg_beginning_where_the_last_one_ended(mo
         assert all(len(leg.u) >= 2 for leg in legs)
 
 
-@every_model
+@every_star
 def test_path_is_feasible_when_looked_at_ten_times_as_finely(model: str) -> None:
     # Between checked points it may come nearer to a limit than the margins ask, but by a tenth of them at most.
     for task, legs in found(model):
@@ -110,7 +110,7 @@ def test_path_is_feasible_when_looked_at_ten_times_as_finely(model: str) -> None
                 assert manifold.feasible(leg.chart, u).all()
 
 
-@every_model
+@every_star
 def test_contacts_hold_all_along_and_nothing_jumps(model: str) -> None:
     for task, legs in found(model):
         for leg in legs:
@@ -121,7 +121,7 @@ def test_contacts_hold_all_along_and_nothing_jumps(model: str) -> None:
             assert np.linalg.norm(np.diff(q, axis=0), axis=1).max() < 0.2
 
 
-@every_model
+@every_star
 def test_elbows_flip_in_charts_rooted_at_their_limb_and_nowhere_else(model: str) -> None:
     for task, legs in found(model):
         holding = sorted(task.manifold.points)
@@ -134,7 +134,7 @@ def test_elbows_flip_in_charts_rooted_at_their_limb_and_nowhere_else(model: str)
         assert set(flips(task.manifold, task.a, task.b)) <= roots
 
 
-@every_model
+@every_star
 def test_same_seed_finds_the_same_path(model: str) -> None:
     for task in tasks(model)[:3]:
         again = [find_path(task.manifold, task.a, task.b, np.random.default_rng(7), QUICK) for _ in range(2)]
@@ -145,13 +145,13 @@ def test_same_seed_finds_the_same_path(model: str) -> None:
             assert one.chart.root == two.chart.root and one.chart.branches == two.chart.branches
 
 
-@every_model
+@every_star
 def test_path_back_and_path_from_a_turned_pelvis_exist_as_well(model: str) -> None:
     task = next(task for task, legs in found(model) if len(legs) == 1)
     back = find_path(task.manifold, task.b, task.a, np.random.default_rng(0), QUICK)
     assert back is not None
     turned = task.b.copy()
-    turned[robot(model).base_q[2]] += 4 * np.pi
+    turned[robot(model).angle_q[0]] += 4 * np.pi
     again = find_path(task.manifold, task.a, turned, np.random.default_rng(0), QUICK)
     assert again is not None and same_posture(model, configurations(again[-1])[-1], turned)
 
@@ -273,7 +273,7 @@ def test_joints_whose_range_is_wider_than_a_turn_do_not_jump_from_one_end_of_it_
 # --- straight lines, trees, shortening -------------------------------------------------------------------------------
 
 
-@every_model
+@every_star
 def test_line_ends_at_its_end_in_even_steps_no_longer_than_asked(model: str) -> None:
     here, q = stance(model, 0)
     chart = here.manifold.chart(q[0])
@@ -285,7 +285,7 @@ def test_line_ends_at_its_end_in_even_steps_no_longer_than_asked(model: str) -> 
     assert len(line(chart, a, a, 0.05)) == 1
 
 
-@every_model
+@every_star
 def test_advance_stops_before_the_first_point_that_is_not_feasible(model: str) -> None:
     here, q = stance(model, 0)
     search = Search()
@@ -312,7 +312,7 @@ def test_advance_stops_before_the_first_point_that_is_not_feasible(model: str) -
     assert stopped > 0
 
 
-@every_model
+@every_star
 def test_checked_configurations_are_close_also_where_a_limb_is_nearly_straight(model: str) -> None:
     search = Search()
     closest = 0.0
@@ -380,7 +380,7 @@ def test_roadmap_remembers_what_it_found_out() -> None:
     assert checks[1] < checks[0]
 
 
-@every_model
+@every_star
 def test_roadmap_joins_what_the_direct_way_joins(model: str) -> None:
     task, _ = next((t, legs) for t, legs in found(model) if len(legs) == 1 and len(flips(t.manifold, t.a, t.b)) <= 1)
     roadmap = Roadmap(task.manifold, np.random.default_rng(0))
@@ -419,7 +419,7 @@ def test_unwound_takes_the_pelvis_within_half_a_turn_and_leaves_the_rest() -> No
 
 
 def test_every_model_has_room_for_paths() -> None:
-    for model in MODELS:
+    for model in STARS:
         here, q = stance(model, 0)
         assert len(q) == 30 and (here.manifold.slack(q) >= 0).all()
         sampler = PostureSampler(here.body, here.manifold)
