@@ -7,17 +7,17 @@ polygon, which is a prism along gravity (Bretl 2006, appendix B).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
-from itertools import combinations
+from functools import cached_property
 from typing import Self
 
 import numpy as np
+from scipy.optimize import linprog
 
-from climber.robot import Indices
 from climber.stance import Vector
 
 LEAST = 0.4  # share of its depth that a margin takes of a region, and no more
 SAME = 1e-9  # rows nearer to each other than this are one
+UNBOUNDED = 3  # what linprog says of a program without an optimum
 
 
 @dataclass(frozen=True)
@@ -52,25 +52,16 @@ class Region:
     def depth(self) -> float:
         """The most that the borders can all be moved inwards until nothing is left [m]; negative if nothing there is.
 
-        It is min over w of w . b with w >= 0, w . A = 0 and the sum of w one, which is what linear programming says of
-        max over p and t of t with A p + t <= b. As the rows lie in a plane, three of them have weight, or two.
+        That is max over p and t of t with A p + t <= b. For an interval it is half its length.
         """
         A, b = self.ends.A, self.ends.b
-        if not len(b):
+        if len(b) < 2:
             return np.inf
-        opposite = np.linalg.norm(A[:, None] + A[None], axis=2) < SAME
-        best = float(((b[:, None] + b) / 2)[opposite].min(initial=np.inf))
-        if len(b) > 2:
-            # Coordinates in the plane of the rows.
-            rows = A @ np.linalg.svd(A)[2][:2].T
-            triples = _triples(len(rows))
-            system = np.concatenate([np.swapaxes(rows[triples], 1, 2), np.ones((len(triples), 1, 3))], axis=1)
-            regular = np.abs(np.linalg.det(system)) > SAME
-            weights = np.linalg.solve(system[regular], np.array([[0.0], [0.0], [1.0]]))[:, :, 0]
-            inside = (weights >= 0.0).all(axis=1)
-            values = (weights[inside] * b[triples[regular][inside]]).sum(axis=1)
-            best = min(best, float(values.min(initial=np.inf)))
-        return best
+        if len(b) == 2 and np.abs(A[0] + A[1]).max() < SAME:
+            return float(b[0] + b[1]) / 2
+        rows = np.column_stack([A, np.ones(len(b))])
+        answer = linprog([0.0, 0.0, 0.0, -1.0], rows, b, bounds=[(None, None)] * 4, method="highs")
+        return np.inf if answer.status == UNBOUNDED else float(answer.x[3])
 
     def shrunk(self, margin: float) -> Self:
         """The region less a margin [m], but never less than `LEAST` of its depth."""
@@ -79,12 +70,15 @@ class Region:
     def meet(self, other: Region) -> Self:
         """The points of both; of borders that face the same way the nearer counts."""
         A, b = np.concatenate([self.A, other.A]), np.concatenate([self.b, other.b])
-        kept: list[int] = []
-        for i in np.argsort(b, kind="stable"):
-            if all(np.abs(A[i] - A[j]).max() > SAME for j in kept):
-                kept.append(int(i))
-        order = np.array(kept)[np.lexsort(A[kept].T[::-1])] if kept else np.zeros(0, dtype=int)
-        return replace(self, A=A[order], b=b[order])
+        _, first, number = np.unique(np.round(A / SAME), axis=0, return_index=True, return_inverse=True)
+        nearest = np.full(len(first), np.inf)
+        np.minimum.at(nearest, number.reshape(-1), b)
+        return replace(self, A=A[first], b=nearest)
+
+    @property
+    def distinct(self) -> Self:
+        """The region with every row once; of those that face the same way the nearest."""
+        return self.meet(replace(self, A=self.A[:0], b=self.b[:0]))
 
     @property
     def ends(self) -> Self:
@@ -99,9 +93,3 @@ class Region:
             ends = "right of the support interval's lower end", "left of the support interval's upper end"
             return tuple(f"centre of mass {end}" for end in ends)
         return tuple(f"centre of mass inside edge {i} of the support polygon" for i in range(len(self.b)))
-
-
-@cache
-def _triples(m: int) -> Indices:
-    """All triples i < j < k below m, shape (., 3)."""
-    return np.array(list(combinations(range(m), 3)), dtype=np.int64).reshape(-1, 3)

@@ -56,6 +56,7 @@ class Body:
         wall: The wall.
         kinematics: Its kinematics.
         clearance: Its clearance.
+        supports: Where the centre of mass may be over sets of contacts, as far as that is known yet; see `support_of`.
         inverse: The inverse kinematics of each limb; None for one that has none in closed form, such as one of a single
             joint.
     """
@@ -64,6 +65,7 @@ class Body:
         self.robot, self.wall = robot, wall
         self.kinematics = Kinematics(robot)
         self.clearance = clearance_of(self.kinematics, wall)
+        self.supports: dict[tuple[Contact, ...], Region | None] = {}
         self.inverse = tuple(
             limb_inverse(robot.planar, limb, chain)
             for limb, chain in zip(robot.limbs, self.kinematics.chains, strict=True)

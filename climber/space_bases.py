@@ -19,7 +19,7 @@ OVERSAMPLING = 4  # attitudes looked at for each pose drawn
 TILT = 0.15  # [rad] standard deviation of the z axis from where it is expected
 SPIN = 0.4  # [rad] standard deviation of the turn about it
 ANYHOW = 0.1  # share of attitudes with any tilt, and of those with any spin
-BEHIND = 0.5  # the pelvis is no farther behind its feet on the average than this share of how far limbs reach down
+BEHIND = 0.2  # the pelvis is no farther behind its feet on the average than this share of how far limbs reach down
 
 
 class SpaceBases:

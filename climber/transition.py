@@ -9,7 +9,7 @@ leave the stance with that limb and all that arrive with it.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
@@ -21,12 +21,14 @@ from climber.kinematics import Pose
 from climber.manifold import Body, Manifold, Margins
 from climber.newton_sampler import NewtonSampler
 from climber.planar_bases import ROUNDING, PlanarBases
+from climber.programs.regions import contact_regions
 from climber.programs.support import contact_intervals
 from climber.space_bases import SpaceBases
 from climber.stance import Contact, Posture, Vector
 
 Kind = Literal["proved", "budget"]
 Branches = NDArray[np.int64]
+ENCLOSED = 0.004  # [m] how closely polygons in space need be enclosed; a tenth of it takes three times the edges
 
 
 @dataclass(frozen=True)
@@ -70,8 +72,14 @@ class Postures:
 
 def support_of(body: Body, contacts: Sequence[Contact]) -> Region | None:
     """Where the centre of mass may be for the contacts to hold the robot, or None if they cannot."""
-    lower, upper = contact_intervals(body.wall, [list(contacts)], body.robot.mass)[0]
-    return None if np.isnan(lower) else Region.interval(float(lower), float(upper))
+    if body.robot.planar:
+        lower, upper = contact_intervals(body.wall, [list(contacts)], body.robot.mass)[0]
+        return None if np.isnan(lower) else Region.interval(float(lower), float(upper))
+    key = tuple(contacts)
+    if key not in body.supports:
+        found = contact_regions(body.wall, [key], body.robot.mass, body.robot.dimension, gap=ENCLOSED)
+        body.supports[key] = None if found.empty[0] else Region(found.A[0], found.b[0]).distinct
+    return body.supports[key]
 
 
 class Bases(Protocol):
@@ -197,6 +205,28 @@ def spread(branches: Branches, value: Vector, most: int) -> NDArray[np.int64]:
     return result
 
 
+def first_carried(
+    order: NDArray[np.int64], q: Vector, most: int, carried: Callable[[Vector], NDArray[np.bool_]] | None
+) -> NDArray[np.int64]:
+    """The first of some postures, at most `most` of them, that the motors can hold.
+
+    Args:
+        order: Places of the postures in `q`, the best first.
+        q: Configurations, shape (M, nq).
+        most: How many are wanted.
+        carried: Which of some configurations the motors can hold; all of them if None.
+    """
+    if carried is None:
+        return order[:most]
+    chosen = order[:0]
+    for begin in range(0, len(order), max(most, 1)):
+        batch = order[begin : begin + most]
+        chosen = np.concatenate([chosen, batch[carried(q[batch])]])
+        if len(chosen) >= most:
+            break
+    return chosen[:most]
+
+
 def find_transition(
     body: Body,
     contacts: Sequence[Contact],
@@ -205,6 +235,7 @@ def find_transition(
     margins: Margins | None = None,
     rounds: Sequence[int] = (500, 4_000, 20_000),
     most: int = 24,
+    carried: Callable[[Vector], NDArray[np.bool_]] | None = None,
 ) -> Postures:
     """Postures on `contacts` in which the limbs other than `limb` can hold the robot on their own.
 
@@ -216,6 +247,7 @@ def find_transition(
         margins: How far inside the limits.
         rounds: Pelvis poses drawn in each round; a round is drawn only if those before found nothing.
         most: Postures returned at most, spread over the branch combinations.
+        carried: Which of some configurations the motors can hold; all of them by default.
     """
     ordered = tuple(sorted(contacts, key=lambda c: c.limb))
     empty = np.zeros((0, body.robot.plant.num_positions())), np.zeros((0, len(ordered)), dtype=int), np.zeros(0)
@@ -226,29 +258,37 @@ def find_transition(
     spare = max(body.wall.holds[c.hold].half_width + np.hypot(c.offset, c.across) for c in ordered)
     if holding is None or touching is None:
         who = f"the limbs other than {name}" if holding is None else "all limbs"
-        return Postures(ordered, *empty, Failure("proved", f"no forces of {who} balance gravity"))
-    gap = -2.0 * holding.meet(touching).depth
-    if gap > ROUNDING:
-        reason = f"the supports with and without {name} lie {gap:.4f} m apart"
-        # On patches the feet might stand elsewhere, where the supports are a little different.
-        return Postures(ordered, *empty, Failure("budget" if spare else "proved", reason))
+        # In space moments about gravity must balance, and these depend on where the feet are.
+        sure = body.robot.planar or spare == 0.0
+        return Postures(ordered, *empty, Failure("proved" if sure else "budget", f"no forces of {who} balance gravity"))
     both = between(
         Manifold(body, [c for c in ordered if c.limb != limb], holding, margins),
         Manifold(body, ordered, touching, margins),
     )
     if both.support.depth < 0.0:
+        gap = -2.0 * holding.meet(touching).depth
+        if gap > ROUNDING:
+            reason = f"the supports with and without {name} lie {gap:.4f} m apart"
+            # On patches the feet might stand elsewhere, where the supports are a little different; and in space they
+            # are a little larger than the polygons enclosed in them.
+            sure = not spare and (body.robot.planar or gap > 4 * ENCLOSED)
+            return Postures(ordered, *empty, Failure("proved" if sure else "budget", reason))
         reason = f"the supports with and without {name} share only {-gap:.4f} m, less than the margins ask"
         return Postures(ordered, *empty, Failure("budget", reason))
     sampler = posture_sampler(body, both)
     if sampler.unreachable():
         reason = "at no angle of the pelvis do all limbs reach their holds"
         return Postures(ordered, *empty, Failure("proved" if sampler.unreachable(spare) else "budget", reason))
-    reachable = drawn = 0
+    reachable = drawn = too_heavy = 0
     for count in rounds:
         q, branches, slack, with_inverse = sampler.draw(rng, count)
         reachable, drawn = reachable + with_inverse, drawn + count
-        if len(q):
-            chosen = spread(branches, slack, most)
+        chosen = first_carried(spread(branches, slack, len(q)), q, most, carried)
+        if len(chosen):
             return Postures(ordered, q[chosen], branches[chosen], slack[chosen])
+        too_heavy += len(q)
+    if too_heavy:
+        reason = f"none of {too_heavy} postures can be held by the motors"
+        return Postures(ordered, *empty, Failure("budget", reason))
     what = "with the centre of mass supported and no collision" if reachable else "with every limb on its hold"
     return Postures(ordered, *empty, Failure("budget", f"no posture {what} among {drawn} pelvis poses"))

@@ -18,7 +18,7 @@ from climber.programs.torque import static_feasible
 from climber.scenario import Budget
 from climber.solids import Solid
 from climber.stance import Contact, Move, Vector
-from climber.transition import Failure, Postures, find_transition, posture_sampler, support_of
+from climber.transition import Failure, Postures, find_transition, first_carried, posture_sampler, support_of
 
 Stage = Literal["transition", "motion", "torque"]
 
@@ -93,23 +93,22 @@ class TransitionFinder:
         key = (contacts, limb)
         if key not in self._found:
             began = clock.perf_counter()
-            found = find_transition(
-                self.body, contacts, limb, self.rng, self.margins, self.effort.rounds, self.effort.postures
-            )
             holding = [c for c in contacts if c.limb != limb]
-            self._found[key] = self._carried(self._carried(found, holding), contacts)
+
+            def carried(q: Vector) -> NDArray[np.bool_]:
+                good = self._carried(q, holding)
+                good[good] = self._carried(q[good], contacts)
+                return good
+
+            self._found[key] = find_transition(
+                self.body, contacts, limb, self.rng, self.margins, self.effort.rounds, self.effort.postures, carried
+            )
             self.seconds += clock.perf_counter() - began
         return self._found[key]
 
-    def _carried(self, postures: Postures, contacts: Sequence[Contact]) -> Postures:
-        """Those of the postures that the contacts can carry with the torques there are."""
-        if not len(postures):
-            return postures
-        good = static_feasible(self.body.robot, self.body.wall, postures.q, list(contacts))
-        if good.all():
-            return postures
-        failure = None if good.any() else Failure("budget", f"none of {len(good)} postures can be held by the motors")
-        return Postures(postures.contacts, postures.q[good], postures.branches[good], postures.slack[good], failure)
+    def _carried(self, q: Vector, contacts: Sequence[Contact]) -> NDArray[np.bool_]:
+        """Which configurations, shape (M, nq), the contacts can carry with the torques there are."""
+        return static_feasible(self.body.robot, self.body.wall, q, list(contacts))
 
     def arrival(self, support: tuple[Contact, ...], limb: int, hold: int) -> Postures:
         """Postures in which `limb` has just taken `hold`: at the patch's centre, or where else on it one exists."""
@@ -175,11 +174,9 @@ class TransitionFinder:
             if region is not None and len(q):
                 inside = _within(region, q[:, self.body.robot.origin_q])
                 q, branches, slack = q[inside], branches[inside], slack[inside]
-            if len(q):
-                best = np.argsort(-slack)[: self.effort.postures]
-                found = self._carried(Postures(contacts, q[best], branches[best], slack[best]), contacts)
-                if len(found):
-                    return found
+            best = first_carried(np.argsort(-slack), q, self.effort.postures, lambda q: self._carried(q, contacts))
+            if len(best):
+                return Postures(contacts, q[best], branches[best], slack[best])
         where = "" if region is None else " with the pelvis in the region"
         return replace(
             empty, failure=Failure("budget", f"no posture{where} among {sum(self.effort.rounds)} pelvis poses")

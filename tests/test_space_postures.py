@@ -77,7 +77,7 @@ def test_poses_face_the_wall_mostly_but_may_be_turned_and_tilted_otherwise() -> 
     assert (R[:, 2, 2] > 0.8).mean() > 0.9
     spin = np.arctan2(R[:, 1, 0], R[:, 0, 0])
     assert (np.abs(spin) > 1.5).any() and np.median(np.abs(spin)) < 0.5
-    assert (base[:, 3] > -0.04).all()  # little behind the feet, which are 4 cm off the wall
+    assert (base[:, 3] > 0.04).mean() > 0.7  # farther off the wall than the feet
 
 
 @given(seeds)
