@@ -1,4 +1,4 @@
-"""Where the centre of mass may be, and how far a force is from what a hold can give: Gönen's model, written anew.
+"""Where the centre of mass may be: Gönen's model for a robot in the wall plane, Bretl's for one in space, written anew.
 
 The planner's programs are Drake's; these are cvxpy's, solved by Clarabel, and share no line with them.
 """
@@ -12,55 +12,11 @@ from functools import lru_cache
 import numpy as np
 
 from climber.stance import Vector
-from climber.wall import Hold, Wall
+from climber.verify_grips import Grip, PlaneGrip
+from climber.verify_polygon import Polygon
+from climber.wall import Wall
 
 ACCURATE = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}
-
-
-@dataclass(frozen=True)
-class Grip:
-    """What a hold can exert in the wall plane: f = offset + generators t with lower <= t <= upper.
-
-    Attributes:
-        offset: Constant part [N], shape (2,).
-        generators: Unit vectors as columns, shape (2, 2); they may coincide if there is no friction.
-        lower: Least multiple of each generator [N], shape (2,).
-        upper: Greatest multiple of each generator [N], shape (2,).
-        moment: Greatest moment about the wall plane's normal, either way [N m].
-    """
-
-    offset: Vector
-    generators: Vector
-    lower: Vector
-    upper: Vector
-    moment: float = 0.0
-
-    @classmethod
-    def of(cls, hold: Hold) -> Grip:
-        """A hold's grip: cone edges for friction (Gönen 4.8, 4.9), axes for a pin, a preloaded cone for a magnet."""
-        if hold.grip == "pin":
-            most = np.full(2, hold.max_force)
-            return cls(np.zeros(2), np.eye(2), -most, most, hold.max_moment)
-        normal = np.array(hold.normal[:2])
-        tangent = np.array([normal[1], -normal[0]])
-        half_angle = np.arctan(hold.friction)
-        edges = np.cos(half_angle) * normal[:, None] + np.sin(half_angle) * np.outer(tangent, [1.0, -1.0])
-        offset = -hold.adhesion * normal if hold.grip == "magnet" else np.zeros(2)
-        return cls(offset, edges, np.full(2, hold.min_force), np.full(2, hold.max_force))
-
-    def excess(self, force: Vector) -> Vector:
-        """By how much forces (K, 3) break the grip's limits [N], shape (K,); negative inside them.
-
-        The in-plane force is resolved into its multiples of the two generators, and each of these compared with its
-        limits. Nothing may push across the wall plane. Without friction the generators are one and the same direction,
-        along which the force is shared equally; any force across it is in excess.
-        """
-        planar = force[:, :2] - self.offset
-        multiples = planar @ np.linalg.pinv(self.generators).T
-        beside = np.abs(planar - multiples @ self.generators.T).max(axis=1)
-        outside = np.maximum(self.lower - multiples, multiples - self.upper).max(axis=1)
-        astray = np.maximum(np.abs(force[:, 2]), beside)
-        return np.asarray(np.where(astray > 1e-9, np.maximum(outside, astray), outside))
 
 
 @dataclass(frozen=True)
@@ -81,6 +37,29 @@ class Support:
     def exists(self) -> bool:
         """Whether there is an interval at all."""
         return self.lower <= self.upper
+
+    def margin(self, center: Vector) -> Vector:
+        """How far places of the centre of mass, shape (K, 3), are inside [m], shape (K,); NaN without an interval."""
+        return np.asarray(np.minimum(center[:, 0] - self.lower, self.upper - center[:, 0]))
+
+    def describe(self) -> str:
+        """What it looks like, in words."""
+        return f"[{self.lower:.4f}, {self.upper:.4f}] m" if self.exists else f"empty ({self.status})"
+
+
+def support_of(wall: Wall, holds: Sequence[int], points: Vector, mass: float, planar: bool) -> Support | Polygon:
+    """Where the centre of mass may be for feet at `points` on `holds`.
+
+    Args:
+        wall: The wall.
+        holds: Number of the hold under each foot, k of them.
+        points: Where the feet are in W [m], shape (k, 3).
+        mass: The robot's mass [kg].
+        planar: Whether the robot is in the wall plane, where it needs no support across it.
+    """
+    if planar:
+        return support_interval(wall, holds, points, mass)
+    return Polygon([Grip.of(wall.holds[hold], planar=False) for hold in holds], points, mass * wall.gravity)
 
 
 class _SupportProgram:
@@ -137,7 +116,7 @@ def support_interval(wall: Wall, holds: Sequence[int], points: Vector, mass: flo
     """
     if not holds:
         return Support(np.nan, np.nan, "no contacts")
-    grips = [Grip.of(wall.holds[hold]) for hold in holds]
+    grips = [grip for hold in holds if isinstance(grip := Grip.of(wall.holds[hold]), PlaneGrip)]
     import cvxpy
 
     weight = -mass * float(wall.gravity[1])

@@ -16,8 +16,10 @@ from climber.solids import Solid
 from climber.stance import Vector
 from climber.verdict import Ledger
 from climber.verify_clearance import Outlines
-from climber.verify_equilibrium import Grip, Support, support_interval
+from climber.verify_equilibrium import Support, support_of
+from climber.verify_grips import Grip
 from climber.verify_model import DrakeModel, Poses, Tree
+from climber.verify_polygon import Polygon
 from climber.verify_rules import BETWEEN
 from climber.verify_scene import DrakeClearance
 from climber.verify_space import SpaceClearance
@@ -112,8 +114,8 @@ class MotionChecks:
         self._outlines = Outlines(robot, flat) if robot.planar else None
         self._space = None if robot.planar else SpaceClearance(robot, [*flat, *solid])
         self._drake_clearance = DrakeClearance(robot, flat if robot.planar else [*flat, *solid])
-        self._grips = [Grip.of(hold) for hold in wall.holds]
-        self._supports: dict[tuple[tuple[int, tuple[float, ...]], ...], Support] = {}
+        self._grips = [Grip.of(hold, robot.planar) for hold in wall.holds]
+        self._supports: dict[tuple[tuple[int, tuple[float, ...]], ...], Support | Polygon] = {}
 
     def check(self) -> None:
         """Checks every phase."""
@@ -185,12 +187,13 @@ class MotionChecks:
             place = int(np.argmin(distance))
             self._note(name, number, samples.time[[place]], distance[[place]], [nearest[place][which][1]])
 
-    def _support(self, phase: Phase) -> Support:
-        """The support interval of a phase's contacts, from one pair of programs for each distinct set of them."""
+    def _support(self, phase: Phase) -> Support | Polygon:
+        """Where a phase's contacts support the centre of mass, remembered for each distinct set of them."""
         key = tuple(sorted((contact.hold, tuple(contact.point)) for contact in phase.contacts))
         if key not in self._supports:
             points = np.array([point for _, point in key]).reshape(-1, 3)
-            self._supports[key] = support_interval(self._wall, [hold for hold, _ in key], points, self._robot.mass)
+            holds, robot = [hold for hold, _ in key], self._robot
+            self._supports[key] = support_of(self._wall, holds, points, robot.mass, robot.planar)
         return self._supports[key]
 
     def _equilibrium(self, number: int, phase: Phase, motion: Motion, center: Vector) -> None:
@@ -204,10 +207,8 @@ class MotionChecks:
 
     def _over(self, number: int, holding: Phase, time: Vector, center: Vector) -> None:
         support = self._support(holding)
-        margin = np.minimum(center[:, 0] - support.lower, support.upper - center[:, 0])
         limbs = " ".join(contact.limb for contact in holding.contacts) or "nothing"
-        interval = f"[{support.lower:.4f}, {support.upper:.4f}] m" if support.exists else f"empty ({support.status})"
-        self._note("equilibrium", number, time, margin, [f"support of {limbs}: {interval}"])
+        self._note("equilibrium", number, time, support.margin(center), [f"support of {limbs}: {support.describe()}"])
 
     def _forces(self, number: int, phase: Phase, motion: Motion) -> None:
         """Contact forces and moments are what their holds can give; limbs that hold nothing feel none."""

@@ -92,6 +92,14 @@ def test_a_chimney_is_climbed_if_friction_exceeds_the_tangent_of_an_angle(overha
         np.testing.assert_allclose(region.corners[0], np.tile([0.35, 0.0], (region.corners.shape[1], 1)), atol=1e-3)
 
 
+def test_beside_two_slippery_holds_there_is_no_support_in_line_with_them() -> None:
+    """The polygon is a segment, and its ends are ends."""
+    wall = Wall((hold(0, 0, friction=0), hold(1, 0.2, friction=0)))
+    region = region_of_all(wall)
+    margin = [region.margin(np.array(p))[0] for p in ((-0.01, 0, 0), (0.5, 0, 0), (1.01, 0, 0), (0.5, 0, 0.01))]
+    np.testing.assert_allclose(margin, [-0.01, 0.0, -0.01, -0.01], atol=1e-6)
+
+
 def test_without_contacts_the_whole_weight_is_missing() -> None:
     region = hold_set_regions(Wall((hold(0, 0),)), np.zeros((2, 0), dtype=int), MASS_OF_20_N, 3)
     assert region.empty.all() and not hold_sets_carried(Wall((hold(0, 0),)), np.zeros((2, 0), dtype=int), 2.0, 3).any()

@@ -121,8 +121,7 @@ def hulls(outlines: Outlines, num_figures: int) -> tuple[Vector, Vector, Vector]
             ring = shapely.get_coordinates(shape)
             if len(ring) > 3:
                 ring = ring[-1:0:-1] if not shapely.is_ccw(shape.exterior) else ring[:-1]
-            apart = np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1) > SAME
-            corners[i] = ring[apart] if apart.any() else ring[:1]
+            corners[i] = _plain(ring, float(shape.area))
     sides = max(4, max((len(c) for c in corners), default=4))
     N, c = np.full((num_figures, sides, 2), np.nan), np.full((num_figures, sides), np.nan)
     padded = np.full((num_figures, sides, 2), np.nan)
@@ -133,6 +132,17 @@ def hulls(outlines: Outlines, num_figures: int) -> tuple[Vector, Vector, Vector]
         c[i] = (normals * at).sum(axis=1)[places]
         padded[i] = corners[i][np.minimum(np.arange(sides), len(corners[i]) - 1)]
     return N, c, padded
+
+
+def _plain(ring: Vector, area: float) -> Vector:
+    """The corners of a convex polygon without those that are as good as others; two or one if it is that narrow."""
+    apart = np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1) > SAME
+    ring = ring[apart] if apart.any() else ring[:1]
+    distance = np.linalg.norm(ring[:, None] - ring, axis=2)
+    if len(ring) > 2 and 2.0 * area < SAME * distance.max():
+        # The sides would say next to nothing of where it ends.
+        return ring[list(np.unravel_index(distance.argmax(), distance.shape))]
+    return ring
 
 
 def _ranks(figure: Indices) -> Indices:
