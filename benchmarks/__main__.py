@@ -34,6 +34,7 @@ ARGUMENTS = {
     "team": ("--encodings literal", "--skip-peers --repeat 1 --questions 10"),
     "refine": ("--legs 20", "--legs 3"),
     "solve": ("", "--quick"),
+    "simulate": ("", "--quick"),
 }
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 SOFTWARE = ("climber-drake", "drake", "clingo", "numpy", "scipy", "ompl")

@@ -7,6 +7,8 @@ centre less what it rolls, summed up as a vector, so that what it slips back doe
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from climber.controller import Command, Controller
@@ -30,6 +32,11 @@ class Footing:
     def __init__(self, wall: Wall, number: int) -> None:
         """A foot that is about to take hold of hold `number`."""
         self._hold, self._normal, self._center = wall.holds[number], wall.normals[number], wall.positions[number]
+        # The contact point moves along the hold with P (v - r w x n), P the projection across the normal.
+        x, y, z = self._normal
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        self._across = np.eye(3) - np.outer(self._normal, self._normal)
+        self._slide = np.hstack([self._across, FOOT_RADIUS * self._across @ cross])
         self.slip, self.lost = 0.0, False
         self._taken: Vector | None = None  # how far the contact point has moved; for a pin, where it was taken
 
@@ -50,14 +57,13 @@ class Footing:
             self.lost = self.slip > OFF
             return
         reach = self._hold.half_width + RIM
-        self.lost = gap > OFF or float(np.linalg.norm(away - gap * self._normal)) > reach
+        self.lost = gap > OFF or math.hypot(*(self._across @ away)) > reach
         if self._taken is None:
             if gap > 0.0:
                 return
             self._taken = np.zeros(3)
-        contact = velocity - FOOT_RADIUS * np.cross(turning, self._normal)
-        self._taken = self._taken + step * (contact - (self._normal @ contact) * self._normal)
-        self.slip = float(np.linalg.norm(self._taken))
+        self._taken = self._taken + step * (self._slide @ np.concatenate([velocity, turning]))
+        self.slip = math.hypot(*self._taken)
 
 
 class Watch:
@@ -95,7 +101,9 @@ class Watch:
 
     def _look_at(self, limb: int, number: int, now: float) -> None:
         world = self._world
-        footing = self._footings.setdefault(limb, Footing(world.wall, number))
+        footing = self._footings.get(limb)
+        if footing is None:
+            footing = self._footings[limb] = Footing(world.wall, number)
         place, velocity, turning = world.foot(self.number, limb)
         footing.look(place, velocity, turning, world.time_step)
         name = self.controller.robot.limb_names[limb]
