@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby
+from typing import Protocol
 
 import numpy as np
 
+from climber.active import active_intervals
 from climber.dynamics import evaluate
+from climber.fastest import SHORTEST, FastLeg, RateLimits, failure, fastest_leg, foot_load, instants_of
 from climber.manifold import Body
 from climber.path import unwound
+from climber.plan_file import PhaseTiming
+from climber.programs.safest import safest_forces
 from climber.programs.torque import TorqueBatch, phase_torques
-from climber.robot import Indices
+from climber.robot import Indices, Robot
 from climber.scenario import Budget
 from climber.stance import Contact, Vector
 from climber.timing import PEAK, PacedPath, Samples, joined
 from climber.verify_motion import drift
 
+PACE = 0.6  # share of the joint rate limits that a motion of fixed shape uses at the most
+SLOWING = 1.05  # what a leg is slowed by when forces at its samples leave their limits
 FEWEST = 80  # samples of a leg, so that a short one is as finely described as a long one
 TELLING = 0.9  # share of the error that `verify` allows between samples
 
@@ -29,14 +36,14 @@ class MotionBudget:
     Attributes:
         attempts: Pairs of postures, each from other pieces, tried for one phase before it is given up.
         iterations: Samples that RRT-Connect draws for one pair.
-        pace: Share of the joint rate limits that a motion uses when nothing else slows it.
+        pace: Share of the joints' speed limits that a motion uses at the most, see `RateLimits.of`.
         rate: Samples per second [Hz].
         slowest: A phase is not slowed beyond this duration [s].
     """
 
     attempts: int = 12
     iterations: int = 100
-    pace: float = 0.6
+    pace: float = 0.9
     rate: float = 100.0
     slowest: float = 30.0
 
@@ -63,6 +70,7 @@ class PhaseMotion:
         force: Force of each holding contact on the robot in W [N], shape (K, len(contacts), 3).
         torque: Joint torques in the order of `Robot.joint_names` [N m], shape (K, num_joints).
         moment: Moment of each holding contact on the robot about z [N m], shape (K, len(contacts)).
+        timing: How the motion was timed; its times count from the begin of the phase.
     """
 
     limb: int | None
@@ -72,12 +80,13 @@ class PhaseMotion:
     force: Vector
     torque: Vector
     moment: Vector
+    timing: PhaseTiming = field(default_factory=PhaseTiming)
 
 
 def timed(
     body: Body, contacts: Sequence[Contact], paced: Sequence[PacedPath], budget: MotionBudget
-) -> tuple[Samples, TorqueBatch] | str:
-    """A path as fast as the pace allows, or slowed until contact forces and torques produce it.
+) -> tuple[Samples, TorqueBatch, PhaseTiming] | str:
+    """A path as fast as holds, motors and joints allow, leg by leg, each from rest to rest.
 
     Args:
         body: The robot.
@@ -86,37 +95,83 @@ def timed(
         budget: How fast, how finely sampled, and how slow at the most.
 
     Returns:
-        The samples with their forces and torques; or, if no slowing helps, why not.
+        The samples with their forces and torques, and how they came about; or, if there is no timing, why not.
+    """
+    limits = RateLimits.of(body.robot, budget.pace)
+    legs: list[FastLeg] = []
+    for path in paced:
+        leg = fastest_leg(body, contacts, path, limits)
+        if leg is None:
+            return _slowed(body, contacts, paced, budget)
+        if isinstance(leg, str):
+            return leg
+        legs.append(leg)
+    why = "limits of speed, acceleration and jerk"
+    while sum(leg.duration for leg in legs) <= budget.slowest:
+        samples, counts = _sampled(body.robot, legs, [leg.duration for leg in legs], budget.rate)
+        slowing = limits.slowing(samples)
+        if slowing > 1.0:
+            legs = [leg.slowed(1.001 * slowing) for leg in legs]
+            continue
+        dynamics = evaluate(body.robot, samples.q, samples.v, [contact.limb for contact in contacts])
+        instants = instants_of(body, contacts, dynamics.load(samples.vd), dynamics.J)
+        start = np.concatenate(
+            [leg.forces(count)[k > 0 :] for k, (leg, count) in enumerate(zip(legs, counts, strict=True))]
+        )
+        t, good = safest_forces(instants, start, foot_load(body, contacts))
+        if good.all():
+            active = active_intervals(body, contacts, legs, limits, samples, instants, t)
+            none = np.zeros(len(t))
+            forces = TorqueBatch(instants.force(t), instants.torque(t), none, none.astype(int), instants.moment(t))
+            return samples, forces, PhaseTiming("conic", limits.by_name(body.robot), active)
+        lacking = failure(body, contacts, instants[~good])
+        if lacking is None:
+            return _slowed(body, contacts, paced, budget)
+        why = lacking[1]
+        legs = [leg.slowed(SLOWING) for leg in legs]
+    return f"takes {sum(leg.duration for leg in legs):.0f} s at its fastest: {why}"
+
+
+def _slowed(
+    body: Body, contacts: Sequence[Contact], paced: Sequence[PacedPath], budget: MotionBudget
+) -> tuple[Samples, TorqueBatch, PhaseTiming] | str:
+    """The path by one law of fixed shape, slowed until forces and torques produce it.
+
+    For paths that the robot can just be held on, with no room inside the limits that a conic program could work in.
     """
     holding = [contact.limb for contact in contacts]
     slowing, why = 1.0, ""
     while True:
-        durations = [max(0.1, slowing * PEAK * path.length / budget.pace) for path in paced]
+        durations = [max(SHORTEST, slowing * PEAK * path.length / min(PACE, budget.pace)) for path in paced]
         if sum(durations) > budget.slowest and slowing > 1.0:
             return f"even slowed to {sum(durations):.0f} s: {why}"
-        samples = _sampled(paced, durations, budget.rate)
+        samples, _ = _sampled(body.robot, paced, durations, budget.rate)
         dynamics = evaluate(body.robot, samples.q, samples.v, holding)
         torques = phase_torques(body.robot, body.wall, list(contacts), dynamics, samples.vd)
         if torques.ok.all():
-            return samples, torques
+            return samples, torques, PhaseTiming()
         why = torques.reason
         slowing *= 1.4
 
 
-def _sampled(paced: Sequence[PacedPath], durations: Sequence[float], rate: float) -> Samples:
-    """The legs one after the other, at `rate` [Hz] or so much finer that the samples tell the motion.
+class _Leg(Protocol):
+    def samples(self, duration: float, count: int) -> Samples: ...
+
+
+def _sampled(robot: Robot, legs: Sequence[_Leg], durations: Sequence[float], rate: float) -> tuple[Samples, list[int]]:
+    """The legs one after the other, at `rate` [Hz] or finer so that they tell the motion, and how many each.
 
     The pace has more turns than a short phase has samples; between samples that miss them nobody could say how the
     robot moves, nor `verify` that it does so.
     """
     for finer in (1, 2, 4, 8, 16):
         counts = [finer * max(FEWEST, int(np.ceil(d * rate))) + 1 for d in durations]
-        pieces = [path.samples(d, count) for path, d, count in zip(paced, durations, counts, strict=True)]
+        pieces = [leg.samples(d, count) for leg, d, count in zip(legs, durations, counts, strict=True)]
         samples = joined(pieces)
-        rates = paced[0].chart.body.robot.rates(samples.q, samples.v, samples.vd)
+        rates = robot.rates(samples.q, samples.v, samples.vd)
         if max(float(error.max(initial=0.0)) for error in drift(samples, rates)) <= TELLING:
             break
-    return samples
+    return samples, counts
 
 
 def chained(phases: Sequence[PhaseMotion], angle: Indices) -> list[PhaseMotion]:
@@ -149,4 +204,7 @@ def _merged(phases: list[PhaseMotion]) -> PhaseMotion:
     samples = [phase.samples for phase in phases]
     merged = Samples(*(stacked([getattr(s, name) for s in samples]) for name in ("time", "q", "v", "vd")))
     force, torque, moment = (stacked([getattr(p, name) for p in phases]) for name in ("force", "torque", "moment"))
-    return replace(phases[0], samples=merged, force=force, torque=torque, moment=moment)
+    timing = phases[0].timing
+    for before, after in zip(samples, phases[1:], strict=False):
+        timing = timing.followed(float(before.time[-1] - samples[0].time[0]), after.timing)
+    return replace(phases[0], samples=merged, force=force, torque=torque, moment=moment, timing=timing)

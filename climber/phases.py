@@ -180,8 +180,9 @@ class PhasePlanner:
         self.timing += clock.perf_counter() - began
         if isinstance(motion, str):
             return MoveFailure(stretch.move, "torque", Failure("budget", motion))
-        samples, torques = motion
-        return PhaseMotion(stretch.limb, stretch.move, contacts, samples, torques.force, torques.torque, torques.moment)
+        samples, torques, timing = motion
+        forces = torques.force, torques.torque, torques.moment
+        return PhaseMotion(stretch.limb, stretch.move, contacts, samples, *forces, timing)
 
     def all_timed(
         self, stretches: Sequence[Stretch], curves: Sequence[Curves], budget: MotionBudget

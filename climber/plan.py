@@ -340,6 +340,7 @@ class ClimbSearch:
             torque=motion.torque,
             force={limbs[c.limb]: motion.force[:, i] for i, c in enumerate(motion.contacts)},
             moment={limbs[c.limb]: motion.moment[:, i] for i, c in enumerate(motion.contacts) if motion.moment.any()},
+            timing=motion.timing.later(float(motion.samples.time[0])),
         )
 
 

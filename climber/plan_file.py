@@ -7,7 +7,7 @@ the business of `climber.verify`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -19,11 +19,13 @@ from climber.plan_json import Node, parse, render
 from climber.stance import Vector
 
 FORMAT = "climber-plan"
-VERSION = 1
+VERSION = 2
 
 PhaseKind = Literal["shift", "swing"]
+TimingMethod = Literal["conic", "paced"]
 CutKind = Literal["proved", "budget"]
 CutStage = Literal["transition", "motion", "torque"]
+RATES = ("speed", "acceleration", "jerk")
 Fact = bool | int | float | str
 
 
@@ -40,6 +42,32 @@ class PhaseContact:
     limb: str
     hold: int
     point: Vector
+
+
+@dataclass(frozen=True)
+class PhaseTiming:
+    """How a phase came by its duration.
+
+    Attributes:
+        method: "conic" if it is the fastest within its limits, "paced" if it runs by a law of fixed shape.
+        limits: By kind ("speed", "acceleration", "jerk") and name of the velocity, the limits it was timed with [m/s,
+            rad/s and their derivatives]. A velocity that is left out had none.
+        active: Intervals of time [s] and the limit that keeps the motion from being faster there, in order of time.
+    """
+
+    method: TimingMethod = "paced"
+    limits: dict[str, dict[str, float]] = field(default_factory=dict)
+    active: tuple[tuple[float, float, str], ...] = ()
+
+    def later(self, seconds: float) -> PhaseTiming:
+        """The same timing, so many seconds later."""
+        return replace(self, active=tuple((a + seconds, b + seconds, name) for a, b, name in self.active))
+
+    def followed(self, after: float, other: PhaseTiming) -> PhaseTiming:
+        """This timing and then another one, which begins so many seconds after it."""
+        method: TimingMethod = "conic" if self.method == other.method == "conic" else "paced"
+        limits = self.limits if self.limits == other.limits else {}
+        return PhaseTiming(method, limits, self.active + other.later(after).active)
 
 
 @dataclass(frozen=True)
@@ -60,6 +88,7 @@ class Phase:
             out exerts none.
         moment: By limb name, the moment about the wall plane's normal that a pin exerts on the gripper on it [N m],
             shape (N,). A limb that is left out feels none.
+        timing: How the phase came by its duration.
     """
 
     kind: PhaseKind
@@ -73,6 +102,7 @@ class Phase:
     torque: Vector
     force: dict[str, Vector]
     moment: dict[str, Vector] = field(default_factory=dict)
+    timing: PhaseTiming = field(default_factory=PhaseTiming)
 
     @property
     def label(self) -> str:
@@ -257,6 +287,7 @@ def _phase_to_dict(phase: Phase) -> dict[str, Any]:
         "torque": phase.torque,
         "force": phase.force,
         "moment": phase.moment,
+        "timing": {**vars(phase.timing), "active": [list(interval) for interval in phase.timing.active]},
     }
 
 
@@ -302,7 +333,7 @@ def _read_cut(node: Node, limbs: tuple[str, ...]) -> Cut:
 
 def _read_phase(node: Node, robot: RobotPlan) -> Phase:
     columns = {"q": robot.positions, "v": robot.velocities, "vd": robot.velocities, "torque": robot.joints}
-    fields = node.fields(["kind", "limb", "stance", "contacts", "time", *columns, "force", "moment"])
+    fields = node.fields(["kind", "limb", "stance", "contacts", "time", *columns, "force", "moment", "timing"])
     stance = fields["stance"].integer(at_least=0)
     if stance >= len(robot.stances):
         raise fields["stance"].error(f"there are {len(robot.stances)} stances, numbered from 0")
@@ -334,4 +365,21 @@ def _read_phase(node: Node, robot: RobotPlan) -> Phase:
         **samples,
         force={limb: forces[limb].array(len(time), 3) for limb in robot.limbs if limb in forces},
         moment={limb: moments[limb].array(len(time)) for limb in robot.limbs if limb in moments},
+        timing=_read_timing(fields["timing"], robot),
     )
+
+
+def _read_timing(node: Node, robot: RobotPlan) -> PhaseTiming:
+    fields = node.fields(["method", "limits", "active"])
+    limits = {}
+    for kind, of_kind in fields["limits"].entries().items():
+        if kind not in RATES:
+            raise of_kind.error(f"limits are of {', '.join(RATES)}")
+        limits[kind] = {name: value.number() for name, value in of_kind.entries().items()}
+        for name in set(limits[kind]) - set(robot.velocities):
+            raise of_kind.error(f"the velocities are {', '.join(robot.velocities)} (given: {name})")
+    active = []
+    for interval in fields["active"].items():
+        begin, end, limit = interval.items(exactly=3)
+        active.append((begin.number(), end.number(), limit.text()))
+    return PhaseTiming(fields["method"].choice(get_args(TimingMethod)), limits, tuple(active))

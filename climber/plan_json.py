@@ -88,12 +88,14 @@ class Node:
                 raise self.error(f"there is no field {name!r}; the fields are {', '.join(names)}")
         return self.some(names)
 
-    def items(self, at_least: int = 0) -> list[Node]:
-        """The items of a list."""
+    def items(self, at_least: int = 0, exactly: int | None = None) -> list[Node]:
+        """The items of a list, `exactly` so many if that is given."""
         if not isinstance(self.value, list):
             raise self.error("a list is expected")
         if len(self.value) < at_least:
             raise self.error(f"{at_least} or more are expected")
+        if exactly is not None and len(self.value) != exactly:
+            raise self.error(f"{exactly} entries are expected, not {len(self.value)}")
         return [Node(value, self.source, f"{self.path}[{i}]") for i, value in enumerate(self.value)]
 
     def text(self) -> str:

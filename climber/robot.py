@@ -44,6 +44,7 @@ class Limb:
         lower: Lower position limits [rad], shape (num_joints,).
         upper: Upper position limits [rad], shape (num_joints,).
         velocity: Velocity limits, the same in both directions [rad/s], shape (num_joints,).
+        acceleration: Acceleration limits, likewise [rad/s^2], infinite where there are none, shape (num_joints,).
         effort: Effort limits [N m], zero for joints without a motor, shape (num_joints,).
         hip: Where the first joint, or the foot of a limb without joints, is in the pelvis's frame [m], shape (3,).
         reach: Farthest that the foot can be from the pelvis's origin [m].
@@ -57,6 +58,7 @@ class Limb:
     lower: Vector
     upper: Vector
     velocity: Vector
+    acceleration: Vector
     effort: Vector
     hip: Vector
     reach: float
@@ -218,6 +220,9 @@ class Robot:
             lower=np.array([joint.position_lower_limit() for joint in joints]),
             upper=np.array([joint.position_upper_limit() for joint in joints]),
             velocity=np.array([min(joint.velocity_upper_limit(), -joint.velocity_lower_limit()) for joint in joints]),
+            acceleration=np.array(
+                [min(joint.acceleration_upper_limits()[0], -joint.acceleration_lower_limits()[0]) for joint in joints]
+            ),
             effort=np.array([actuators.get(joint.name(), 0.0) for joint in joints]),
             hip=self.pelvis.EvalPoseInWorld(context).inverse().multiply(points[1]),
             reach=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()),

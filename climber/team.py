@@ -234,6 +234,7 @@ class Team:
             force=lengthened(phase.force),
             torque=lengthened(phase.torque),
             moment=lengthened(phase.moment),
+            timing=phase.timing.later(idle if row == 0 else 0.0),
         )
 
 

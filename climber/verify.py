@@ -20,6 +20,7 @@ from climber.verify_motion import MotionChecks
 from climber.verify_rules import LENGTH, RULES
 from climber.verify_structure import StructureChecks
 from climber.verify_team import TeamChecks
+from climber.verify_timing import TimingChecks
 from climber.wall import Wall
 
 __all__ = ["Check", "Verdict", "verify"]
@@ -56,6 +57,7 @@ def verify(plan: Plan | str | Path) -> Verdict:
         spec = scenario.robots[number]
         StructureChecks(robot, wall, spec, robot_plan, ledger).check()
         MotionChecks(robot, wall, spec, robot_plan, ledger).check()
+        TimingChecks(robot, wall, robot_plan, ledger).check()
     if len(robots) > 1:
         TeamChecks(robots, read.robots, ledger).check()
     return Verdict(source, ledger.checks())

@@ -27,6 +27,11 @@ DYNAMICS_AT_SAMPLES = 1e-4  # [N, N m]
 # turns at 4 rad/s has J change by 8 mm in 10 ms, and if f went from one end of its range to the other, 18 N, in that
 # same step, 0.04 N m would remain. It is a quarter of a percent of the quadruped's weight.
 DYNAMICS_BETWEEN = 0.05  # [N, N m]
+# A timing is computed at some forty places of a motion. Between them rates may go a little beyond limits that are set
+# below the model's, and what is told as active need not be so to the last digit, for forces are kept off their limits.
+OVERSHOOT, OVERSHOOT_OF_JERK = 1.1, 1.5  # share of a limit
+IN_USE = 0.7  # share of a limit
+AT_LIMIT = 0.1  # of the weight
 MODEL = 1e-8  # [m, N, N m] verify's own mechanics against Drake's
 
 RULES: Final[dict[str, Rule]] = {
@@ -51,6 +56,11 @@ RULES: Final[dict[str, Rule]] = {
     "joint limits": Rule("joint positions within their limits (excess)", "at most", SAME, "rad"),
     "speed limits": Rule("joint velocities within their limits (excess)", "at most", SAME, "rad/s"),
     "torque limits": Rule("joint torques within their limits (excess)", "at most", TORQUE, "N m"),
+    "timing": Rule("limits are the model's, active ones the phase's, intervals in order", "at most", 0, "faults"),
+    "timing limits": Rule("share of its phase's limits that a speed or acceleration uses", "at most", OVERSHOOT, ""),
+    "timing jerk": Rule("share of its phase's limits that a jerk uses", "at most", OVERSHOOT_OF_JERK, ""),
+    "active limits": Rule("share in use of a rate or torque limit told as active", "at least", IN_USE, ""),
+    "active contacts": Rule("distance from a contact's limit told as active, over the weight", "at most", AT_LIMIT, ""),
     "self clearance": Rule("links and pelvis do not touch", "at least", -LENGTH, "m"),
     "obstacle clearance": Rule("no link touches rock, an obstacle or an avoided region", "at least", -LENGTH, "m"),
     "clock": Rule("all robots begin at time 0 and end together", "at most", SAME, "s"),

@@ -98,10 +98,10 @@ def test_a_duration_runs_from_the_first_sample_to_the_last() -> None:
         (b'{"format": "climber-plan", "format": "climber-plan", "version": 1}', "given twice"),
         (b'{"format": "climber-plan", "version": NaN}', "numbers are finite"),
         (b'{"format": "climber-plan", "version": Infinity}', "numbers are finite"),
-        (b'{"format": "climber-plan", "version": 2}', "reads version 1"),
-        (b'{"format": "climber-plan", "version": true}', "reads version 1"),
+        (b'{"format": "climber-plan", "version": 3}', "reads version 2"),
+        (b'{"format": "climber-plan", "version": true}', "reads version 2"),
         (b'{"format": "a-plan", "version": 1}', "not a plan file"),
-        (b'{"format": "climber-plan", "version": 1}', "'scenario' is missing"),
+        (b'{"format": "climber-plan", "version": 2}', "'scenario' is missing"),
         (b"[" * 100_000, "not a JSON file"),
     ],
 )
@@ -235,6 +235,7 @@ def test_the_format_is_documented_field_by_field_and_check_by_check() -> None:
     robot = SHORT["robots"][0]
     fields = {*SHORT, *robot, *robot["phases"][0], *robot["cuts"][0]}
     fields |= {f"scenario.{key}" for key in SHORT["scenario"]}
+    fields |= {f"timing.{key}" for key in robot["phases"][0]["timing"]}
     fields |= {f"contacts[k].{key}" for key in robot["phases"][0]["contacts"][0]}
     assert listed == fields
     for name, rule in RULES.items():

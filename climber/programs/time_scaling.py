@@ -1,0 +1,429 @@
+"""How fast can a robot run along a path? Time scaling as one conic program, contact forces included.
+
+Drake's Toppra finds the fastest timing within torque and rate limits, but does not reason about contact forces. Here
+the forces of the contacts are variables beside the speed, so that a timing comes with forces that the holds can give.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import clarabel
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from climber.programs.speed_profile import SpeedProfile
+from climber.robot import Indices
+from climber.stance import Vector
+
+FASTEST = 100.0  # b is bounded by this: no motion is more than ten times as fast as the path's own pace
+SLOWEST = 1e-6  # and coefficients of b by this: nor a thousand times as slow
+GAP = 1e-6  # relative accuracy asked of the duration
+FEASIBILITY = 1e-7  # accuracy asked of the constraints
+ACTIVE = 1e-3  # share of a limit: less room than this, and a price on it of more than this, make it active
+Mask = NDArray[np.bool_]
+Part = tuple[Indices, Vector]  # columns and values, both of shape (M, w)
+
+
+@dataclass(frozen=True)
+class PathDynamics:
+    """What a motion along a path q(x) asks of contacts, motors and joints, at N places x on it.
+
+    With b = xdot^2 and a = xddot, velocities are q' sqrt(b) and accelerations q' a + q'' b, the equations of motion
+    (Gönen 2021, 4.24) with contact forces f = o + G t are linear in a, b and t but for damping:
+
+        E t = e_0 + e_1 b + e_2 a                           in the rows without a motor (the pelvis)
+        tau = c_0 + c_1 b + c_2 a + d sqrt(b) - A t         in the rows with one
+
+    Attributes:
+        x: The places, increasing, shape (N,).
+        E: Shape (N, u, n).
+        e: e_0 (at rest: gravity and springs), e_1, e_2, shape (3, N, u).
+        A: Shape (N, j, n).
+        c: c_0, c_1, c_2, shape (3, N, j).
+        first: q' of the coordinates whose rates are limited, shape (N, l).
+        second: q'' of them, likewise.
+        speed: Their speed limits, shape (l,); infinite for none, as all limits below.
+        acceleration: Their acceleration limits, shape (l,).
+        jerk: Their jerk limits, shape (l,).
+        torque: Torque limits [N m], shape (N, j).
+        rows: Linear limits of contact forces, rows t <= most, shape (r, n).
+        most: Their right sides [N], shape (N, r).
+        cones: Round limits: tops - cones t is in the second-order cone, shape (s, 3, n).
+        tops: Their right sides [N], shape (N, s, 3).
+        names: What the rows and cones, then the torques, then the limited coordinates are called.
+        damping: d [N m s], shape (N, j); None for none.
+    """
+
+    x: Vector
+    E: Vector
+    e: Vector
+    A: Vector
+    c: Vector
+    first: Vector
+    second: Vector
+    speed: Vector
+    acceleration: Vector
+    jerk: Vector
+    torque: Vector
+    rows: Vector
+    most: Vector
+    cones: Vector
+    tops: Vector
+    names: tuple[Sequence[str], Sequence[str], Sequence[str]]
+    damping: Vector | None = None
+
+    @cached_property
+    def fastest(self) -> tuple[Vector, list[str]]:
+        """The greatest b at each place, shape (N,), and the limit that it comes from.
+
+        It is that of speed; at ends where q' and q'' vanish, that of jerk, which is q^(3) b^(3/2) there.
+        """
+        with np.errstate(divide="ignore"):
+            most = (self.speed / np.abs(self.first)) ** 2
+            ends = [(self.jerk / np.abs(self._bend[end])) ** (2 / 3) for end in (0, -1)]
+        names = [f"speed {self.names[2][j]}" for j in most.argmin(axis=1)]
+        most = most.min(axis=1)
+        for place, by_jerk in zip((0, -1), ends, strict=True):
+            if not self.first[place].any() and by_jerk.min() < most[place]:
+                most[place], names[place] = by_jerk.min(), f"jerk {self.names[2][int(by_jerk.argmin())]}"
+        return np.minimum(most, FASTEST), names
+
+    @property
+    def _bend(self) -> Vector:
+        """The mean third derivative of q from each place to the next, shape (N - 1, l)."""
+        result: Vector = np.diff(self.second, axis=0) / np.diff(self.x)[:, None]
+        return result
+
+    def paced(self) -> float:
+        """The greatest b, the same all along the path, that keeps to the limits of speed, acceleration and jerk."""
+        with np.errstate(divide="ignore"):
+            by_acceleration = (self.acceleration / np.abs(self.second)).min()
+            by_jerk = ((self.jerk / np.abs(self._bend)) ** (2 / 3)).min()
+        return float(max(SLOWEST, min(self.fastest[0].min(), by_acceleration, by_jerk)))
+
+
+@dataclass(frozen=True)
+class TimeScaling:
+    """The fastest timing of a path.
+
+    Attributes:
+        coefficients: Of the speed profile, shape (profile.size,).
+        duration: Time that the path takes [s].
+        b: Squares of the speed at the places of the dynamics, shape (N,).
+        a: Accelerations there, shape (N,).
+        t: Multiples of the contacts' generators there [N], shape (N, n).
+        active: At each place the limits that keep the motion from being faster, by name, N of them.
+    """
+
+    coefficients: Vector
+    duration: float
+    b: Vector
+    a: Vector
+    t: Vector
+    active: tuple[frozenset[str], ...]
+
+
+@dataclass
+class _Rows:
+    """Rows of a sparse matrix and their right sides, collected block by block."""
+
+    count: int = 0
+    rows: list[Indices] = field(default_factory=list)
+    columns: list[Indices] = field(default_factory=list)
+    values: list[Vector] = field(default_factory=list)
+    places: list[Indices] = field(default_factory=list)
+    right: list[Vector] = field(default_factory=list)
+
+    def add(self, right: Vector, *parts: Part) -> slice:
+        """Adds M rows, the sum of the parts against `right` (M,); where they are."""
+        return self._add(self.count + np.arange(len(right)), right, parts)
+
+    def add_cones(self, *axes: tuple[Vector, tuple[Part, ...]]) -> slice:
+        """Adds M second-order cones, given as the rows of their first axes, of their second ones, and so on."""
+        start, width = self.count, len(axes)
+        for axis, (right, parts) in enumerate(axes):
+            self._add(start + axis + width * np.arange(len(right)), right, parts)
+        return slice(start, self.count)
+
+    def _add(self, places: Indices, right: Vector, parts: Sequence[Part]) -> slice:
+        for columns, values in parts:
+            self.rows.append(np.broadcast_to(places[:, None], values.shape).ravel())
+            self.columns.append(np.broadcast_to(columns, values.shape).ravel())
+            self.values.append(values.ravel())
+        self.places.append(places)
+        self.right.append(right)
+        begin, self.count = self.count, self.count + len(right)
+        return slice(begin, self.count)
+
+
+class TimeScalingProgram:
+    """The fastest timing of a path within the limits of contacts, motors and joints.
+
+    Given a path q(x) with dynamics at places x_i (`PathDynamics`), nodes y_0 < ... < y_m on it, and b(x) = xdot^2 a
+    B-spline with coefficients k (`SpeedProfile`), so that b and a = b'/2 are linear in k:
+
+        min         sum_m T_m
+        over        k, T_m, r_m, t_i
+        subject to  (1) T_m (r_m + r_m+1) >= 2 (y_m+1 - y_m)           time from node to node
+                    (2) r_m^2 <= b(y_m)                                speed at the nodes
+                    (3) E t_i = e_0 + e_1 b_i + e_2 a_i                equations of motion without a motor
+                    (4) |c_0 + c_1 b_i + c_2 a_i + d sqrt(b_i) - A t_i| <= torque limit
+                    (5) rows t_i <= most_i                             edges of friction cones, force limits
+                    (6) tops_i - cones t_i in the second-order cone    round friction cones
+                    (7) b_i <= min_j (speed_j / |q'_ij|)^2             speed limits
+                        b_i <= min_j (jerk_j / |q^(3)_ij|)^(2/3)       jerk limits at ends where q' = q'' = 0
+                    (8) |q'_i a_i + q''_i b_i| <= acceleration limit
+                    (9) |change of q' a + q'' b from i to i+1| <= jerk limit * (x_i+1 - x_i) / sqrt(mean of b_i, b_i+1)
+                   (10) k >= 0, so that b >= 0 everywhere
+                   (11) k = 0 at both ends, if the motion must be at rest there
+
+    (1) and (2) are rotated second-order cones: for a piecewise linear b the sum is the motion's time exactly
+    (Verscheure et al. 2009, eq. 23). Torques are eliminated in (4), so that (3) and (4) are the whole of the dynamics.
+
+    (9) is not convex. But 1/sqrt(b) is a convex function of b, so that its tangent at any b' > 0 lies below it, and
+    with the tangent in its place (9) is a linear constraint that implies the true one. The same goes for d sqrt(b) in
+    (4), whose tangent lies above it, and which is at least zero. So every solution is feasible whatever b' is; solved
+    again with b' the solution before, it gets no slower.
+
+    Where the path can be stood on at every place, strictly within all limits, a timing exists: a slow enough one. So
+    when there is none, a place at which the robot cannot even stand still is the reason (`climber.fastest.standing`).
+
+    Attributes:
+        dynamics: The path.
+        profile: The B-splines that b is taken from.
+        constraints: Names of the constraints and the rows that they are.
+    """
+
+    def __init__(
+        self, dynamics: PathDynamics, profile: SpeedProfile, nodes: Vector | None = None, *, rest: bool = False
+    ) -> None:
+        """Builds the program, but for what depends on b'.
+
+        Args:
+            dynamics: The path.
+            profile: The B-splines.
+            nodes: The nodes y; by default the places of the dynamics.
+            rest: Whether b must vanish at both ends. Along a path with q' = 0 at its ends it need not, see
+                `climber.fastest`.
+        """
+        self.dynamics, self.profile = dynamics, profile
+        self._nodes = dynamics.x if nodes is None else nodes
+        self._local, self._at_nodes = profile.local(dynamics.x), profile.local(self._nodes)
+        self._N, self._n = len(dynamics.x), dynamics.E.shape[2]
+        steps = len(self._nodes) - 1
+        # Variables: k, then T, r, t.
+        self._T = profile.size
+        self._r = self._T + steps
+        self._t = self._r + steps + 1
+        self.num_variables = self._t + self._N * self._n
+        self.constraints: dict[str, slice] = {}
+        self._equal, self._below, self._round = _Rows(), _Rows(), _Rows()
+        self._solver: clarabel.DefaultSolver | None = None
+        self._balance(rest)
+        self._forces()
+        self._speeds()
+        self._accelerations()
+        self._time()
+
+    # -- what rows are made of
+
+    def _of_speed(self, i: Indices, of_b: Vector, of_a: Vector) -> Part:
+        """of_b * b_i + of_a * a_i, each of shape (M,)."""
+        local = self._local[i]
+        return local.columns, local.combined(of_b, of_a)
+
+    def _of_force(self, i: Indices, values: Vector) -> Part:
+        """The sums values . t_i, i of shape (M,), values of shape (M, n)."""
+        return self._t + self._n * i[:, None] + np.arange(self._n), values
+
+    def _each(self, width: int) -> tuple[Indices, Indices]:
+        """Place and column of each entry of an array (N, width)."""
+        i, j = np.divmod(np.arange(self._N * width), max(width, 1))
+        return i, j
+
+    @staticmethod
+    def _both(count: int, limited: Mask) -> tuple[Vector, Indices, Indices]:
+        """Sign, place and column of each of the limits either way of the limited columns at `count` places."""
+        columns = np.flatnonzero(limited)
+        sign, i, j = np.meshgrid(np.array([1.0, -1.0]), np.arange(count), columns, indexing="ij")
+        return sign.ravel(), i.ravel(), j.ravel()
+
+    # -- the constraints
+
+    def _balance(self, rest: bool) -> None:
+        dynamics = self.dynamics
+        i, u = self._each(dynamics.E.shape[1])
+        self.constraints["balance"] = self._equal.add(
+            dynamics.e[0][i, u],
+            self._of_force(i, dynamics.E[i, u]),
+            self._of_speed(i, -dynamics.e[1][i, u], -dynamics.e[2][i, u]),
+        )
+        if rest:
+            ends = np.array([[0], [self.profile.size - 1]])
+            self.constraints["rest"] = self._equal.add(np.zeros(2), (ends, np.ones((2, 1))))
+
+    def _forces(self) -> None:
+        dynamics = self.dynamics
+        i, r = self._each(len(dynamics.rows))
+        self.constraints["force"] = self._below.add(dynamics.most[i, r], self._of_force(i, dynamics.rows[r]))
+        i, s = self._each(len(dynamics.cones))
+        i, s, axis = np.repeat(i, 3), np.repeat(s, 3), np.tile(np.arange(3), len(i))
+        self.constraints["cone"] = self._round.add(
+            dynamics.tops[i, s, axis], self._of_force(i, dynamics.cones[s, axis])
+        )
+
+    def _speeds(self) -> None:
+        every = np.arange(self._N)
+        most, _ = self.dynamics.fastest
+        self.constraints["speed"] = self._below.add(most, self._of_speed(every, np.ones(self._N), np.zeros(self._N)))
+        size = self.profile.size
+        self.constraints["positive"] = self._below.add(
+            np.full(size, -SLOWEST), (np.arange(size)[:, None], -np.ones((size, 1)))
+        )
+
+    def _accelerations(self) -> None:
+        dynamics = self.dynamics
+        sign, i, j = self._both(self._N, np.isfinite(dynamics.acceleration))
+        self.constraints["acceleration"] = self._below.add(
+            dynamics.acceleration[j], self._of_speed(i, sign * dynamics.second[i, j], sign * dynamics.first[i, j])
+        )
+
+    def _time(self) -> None:
+        nodes, local = self._nodes, self._at_nodes
+        m, one = np.arange(len(nodes))[:, None], np.ones((len(nodes), 1))
+        # (b + 1, b - 1, 2 r) is in the second-order cone.
+        speed = local.columns, -local.b
+        self.constraints["speed at the nodes"] = self._round.add_cones(
+            (one[:, 0], (speed,)), (-one[:, 0], (speed,)), (0.0 * one[:, 0], ((self._r + m, -2.0 * one),))
+        )
+        # (T + r + r', T - r - r', 2 sqrt(2 dy)) is in the second-order cone.
+        m, one = m[:-1], one[:-1]
+        T, r, later = (self._T + m, -one), self._r + m, self._r + m + 1
+        self.constraints["time from node to node"] = self._round.add_cones(
+            (0.0 * one[:, 0], (T, (r, -one), (later, -one))),
+            (0.0 * one[:, 0], (T, (r, one), (later, one))),
+            (2.0 * np.sqrt(2.0 * np.diff(nodes)), ()),
+        )
+
+    def _torques(self, reference: Vector) -> _Rows:
+        """(4), its damping taken at the reference b' (N,)."""
+        dynamics, rows = self.dynamics, _Rows()
+        sign, i, j = self._both(self._N, np.isfinite(dynamics.torque[0]))
+        of_b, right = sign * dynamics.c[1][i, j], dynamics.torque[i, j] - sign * dynamics.c[0][i, j]
+        if dynamics.damping is not None:  # sqrt(b) <= (sqrt(b') + b / sqrt(b')) / 2
+            against, speed = np.maximum(sign * dynamics.damping[i, j], 0.0), np.sqrt(reference[i])
+            of_b, right = of_b + 0.5 * against / speed, right - 0.5 * against * speed
+        rows.add(
+            right,
+            self._of_force(i, -sign[:, None] * dynamics.A[i, j]),
+            self._of_speed(i, of_b, sign * dynamics.c[2][i, j]),
+        )
+        return rows
+
+    def _jerks(self, reference: Vector) -> _Rows:
+        """(9), its right side the tangent at the reference b' (N,)."""
+        dynamics, rows = self.dynamics, _Rows()
+        sign, i, j = self._both(self._N - 1, np.isfinite(dynamics.jerk))
+        mean = 0.5 * (reference[i] + reference[i + 1])
+        most = dynamics.jerk[j] * np.diff(dynamics.x)[i] / np.sqrt(mean)
+        half = 0.25 * most / mean  # for either b: the tangent is most (1.5 - 0.5 b / mean)
+        rows.add(
+            1.5 * most,
+            self._of_speed(i + 1, sign * dynamics.second[i + 1, j] + half, sign * dynamics.first[i + 1, j]),
+            self._of_speed(i, -sign * dynamics.second[i, j] + half, -sign * dynamics.first[i, j]),
+        )
+        return rows
+
+    # -- solving
+
+    def solve(self, iterations: int = 2) -> TimeScaling | None:
+        """The fastest timing, or None if Clarabel finds none.
+
+        Args:
+            iterations: How often the program is solved, where the reference b' matters. The first b' is one and a half
+                times that of the paced motion, see `PathDynamics.paced`.
+        """
+        reference = np.minimum(1.5 * self.dynamics.paced(), self.dynamics.fastest[0])
+        best = None
+        once = self.dynamics.damping is None and not np.isfinite(self.dynamics.jerk).any()
+        for _ in range(1 if once else iterations):
+            found = self.solve_at(reference)
+            if found is None:
+                return best
+            best, reference = found, np.maximum(found.b, SLOWEST)
+        return best
+
+    def solve_at(self, reference: Vector) -> TimeScaling | None:
+        """The fastest timing for a reference b', shape (N,), positive; None if Clarabel finds none."""
+        parts = [self._equal, self._below, self._torques(reference), self._jerks(reference), self._round]
+        offsets = np.cumsum([0, *(part.count for part in parts)])
+        values = np.concatenate([value for part in parts for value in part.values])
+        right = np.empty(offsets[-1])
+        for part, at in zip(parts, offsets, strict=False):
+            right[at + np.concatenate(part.places)] = np.concatenate(part.right)
+        if self._solver is None:
+            rows = np.concatenate([row + at for part, at in zip(parts, offsets, strict=False) for row in part.rows])
+            columns = np.concatenate([column for part in parts for column in part.columns])
+            # Column by column, as the matrix is stored; b at two places may share a coefficient, whose parts add up.
+            keys, self._entry = np.unique(columns * offsets[-1] + rows, return_inverse=True)
+            columns, rows = np.divmod(keys, offsets[-1])
+            starts = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self.num_variables))])
+            data = np.bincount(self._entry, values)
+            matrix = sparse.csc_matrix((data, rows, starts), shape=(int(offsets[-1]), self.num_variables))
+            self._solver = self._clarabel(matrix, right, int(offsets[-2] - offsets[1]))
+        else:  # what is known of the matrix's pattern stays known
+            self._solver.update(A=np.bincount(self._entry, values), b=right)
+        solution = self._solver.solve()
+        if solution.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
+            return None
+        prices = np.array(solution.z) * np.maximum(np.abs(right), 1.0)
+        return self._result(np.array(solution.x), np.split(prices, offsets[1:-1])[1:])
+
+    def _clarabel(self, matrix: sparse.csc_matrix, right: Vector, below: int) -> clarabel.DefaultSolver:
+        """Clarabel with the program, of which `below` rows are inequalities."""
+        cones = [clarabel.ZeroConeT(self._equal.count), clarabel.NonnegativeConeT(below)]
+        cones += [clarabel.SecondOrderConeT(3)] * (self._round.count // 3)
+        cost = np.zeros(self.num_variables)
+        cost[self._T : self._r] = 1.0
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.max_threads = 1
+        settings.presolve_enable = False
+        settings.tol_gap_abs = settings.tol_gap_rel = GAP
+        settings.tol_feas = FEASIBILITY
+        quadratic = sparse.csc_matrix((self.num_variables, self.num_variables))
+        return clarabel.DefaultSolver(quadratic, cost, matrix, right, cones, settings)
+
+    def _result(self, x: Vector, prices: list[Vector]) -> TimeScaling:
+        """The timing that is the solution x; prices are those of inequalities, torques, jerks and cones."""
+        N, dynamics = self._N, self.dynamics
+        coefficients, duration = x[: self.profile.size], float(x[self._T : self._r].sum())
+        b, a = self._local.values(coefficients)
+        active: list[set[str]] = [set() for _ in range(N)]
+        dear = ACTIVE * duration / N
+
+        def note(names: Sequence[str], price: Vector) -> None:
+            """Prices of limits `names` at one place after the other."""
+            for i, j in np.argwhere(price.reshape(-1, max(len(names), 1)) > dear):
+                active[i].add(names[j])
+
+        forces, motors, coordinates = dynamics.names
+        below, by_torque, by_jerk, cones = prices
+        note(forces[: len(dynamics.rows)], below[self.constraints["force"]])
+        note(forces[len(dynamics.rows) :], cones[self.constraints["cone"]][::3])
+        for i in np.flatnonzero(below[self.constraints["speed"]] > dear):
+            active[i].add(dynamics.fastest[1][i])
+        for kind, names, limits, price in (
+            ("torque", motors, dynamics.torque[0], by_torque),
+            ("acceleration", coordinates, dynamics.acceleration, below[self.constraints["acceleration"]]),
+            ("jerk", coordinates, dynamics.jerk, by_jerk),
+        ):
+            limited = [f"{kind} {name}" for name, limit in zip(names, limits, strict=True) if np.isfinite(limit)]
+            either = price[: 2 * (len(price) // 2)].reshape(2, -1)
+            note(limited, either.max(axis=0, initial=0.0))
+        t = x[self._t :].reshape(N, self._n)
+        return TimeScaling(coefficients, duration, b, a, t, tuple(frozenset(names) for names in active))
