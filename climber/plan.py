@@ -26,10 +26,11 @@ from climber.exceptions import NoPlanFound
 from climber.graph import StanceGraph, build_stance_graph
 from climber.lessons import Lessons, OnFailure
 from climber.manifold import Body
+from climber.margins import phase_margins
 from climber.motion import DeadEnd, EmptyPiece, MotionPlanner, Regions
 from climber.phase_motion import MotionBudget, PhaseMotion
 from climber.phases import Way
-from climber.plan_file import Cut, Phase, PhaseContact, Plan, RobotPlan
+from climber.plan_file import Cut, MarginKind, Phase, PhaseContact, PhaseMargin, Plan, RobotPlan
 from climber.prune import impossible_moves
 from climber.regrasp import rigid, with_regrasps
 from climber.robot import Model, Robot
@@ -316,7 +317,7 @@ class ClimbSearch:
             moves=len(moves),
             cost=walk.cost,
             stances=tuple(dict(zip(limbs, stance.holds, strict=True)) for stance in stances),
-            phases=tuple(self._phase(motion) for motion in motions),
+            phases=self._phases(motions),
             cuts=tuple(self.cuts),
             counts={name: int(count) for name, count in self.graph.counts.items()},
             proofs={
@@ -326,7 +327,13 @@ class ClimbSearch:
             },
         )
 
-    def _phase(self, motion: PhaseMotion) -> Phase:
+    def _phases(self, motions: list[PhaseMotion]) -> tuple[Phase, ...]:
+        began = clock.perf_counter()
+        margins = phase_margins(self.robot, self.scenario.build_wall(), motions)
+        self.times["margins"] = clock.perf_counter() - began
+        return tuple(self._phase(motion, own) for motion, own in zip(motions, margins, strict=True))
+
+    def _phase(self, motion: PhaseMotion, margins: dict[MarginKind, PhaseMargin]) -> Phase:
         limbs, wall = self.robot.limb_names, self.body.wall
         return Phase(
             kind="shift" if motion.limb is None else "swing",
@@ -341,6 +348,7 @@ class ClimbSearch:
             force={limbs[c.limb]: motion.force[:, i] for i, c in enumerate(motion.contacts)},
             moment={limbs[c.limb]: motion.moment[:, i] for i, c in enumerate(motion.contacts) if motion.moment.any()},
             timing=motion.timing.later(float(motion.samples.time[0])),
+            margins=margins,
         )
 
 

@@ -26,6 +26,8 @@ TimingMethod = Literal["conic", "paced"]
 CutKind = Literal["proved", "budget"]
 CutStage = Literal["transition", "motion", "torque"]
 RATES = ("speed", "acceleration", "jerk")
+MarginKind = Literal["friction", "push", "mass", "center", "place", "normal"]
+MARGIN_KINDS: tuple[MarginKind, ...] = get_args(MarginKind)
 Fact = bool | int | float | str
 
 
@@ -71,6 +73,26 @@ class PhaseTiming:
 
 
 @dataclass(frozen=True)
+class PhaseMargin:
+    """The greatest error of one kind that a phase's motion survives, with other forces and torques inside all limits.
+
+    Attributes:
+        value: friction and mass: share by which it is less, or mass off either way; push: force on the pelvis at the
+            robot's centre of mass [N]; center: displacement of the centre of mass, fixed to the pelvis [m]; place:
+            displacement of one hold [m]; normal: angle by which the normal of one hold is turned [rad].
+        time: The plan's time of the sample where it is least [s].
+        direction: Unit vector in W of the push or displacement that is worst there, gravity's or against it for mass
+            too great or small, the axis for a normal, shape (3,); None for friction.
+        limb: The limb on the hold that is worst there; None for errors that are not of one hold.
+    """
+
+    value: float
+    time: float
+    direction: tuple[float, float, float] | None = None
+    limb: str | None = None
+
+
+@dataclass(frozen=True)
 class Phase:
     """A stretch of motion during which the contacts do not change, sampled at N instants.
 
@@ -89,6 +111,7 @@ class Phase:
         moment: By limb name, the moment about the wall plane's normal that a pin exerts on the gripper on it [N m],
             shape (N,). A limb that is left out feels none.
         timing: How the phase came by its duration.
+        margins: What the motion survives, by kind.
     """
 
     kind: PhaseKind
@@ -103,6 +126,7 @@ class Phase:
     force: dict[str, Vector]
     moment: dict[str, Vector] = field(default_factory=dict)
     timing: PhaseTiming = field(default_factory=PhaseTiming)
+    margins: dict[MarginKind, PhaseMargin] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -288,6 +312,7 @@ def _phase_to_dict(phase: Phase) -> dict[str, Any]:
         "force": phase.force,
         "moment": phase.moment,
         "timing": {**vars(phase.timing), "active": [list(interval) for interval in phase.timing.active]},
+        "margins": {kind: vars(margin) for kind, margin in phase.margins.items()},
     }
 
 
@@ -333,7 +358,9 @@ def _read_cut(node: Node, limbs: tuple[str, ...]) -> Cut:
 
 def _read_phase(node: Node, robot: RobotPlan) -> Phase:
     columns = {"q": robot.positions, "v": robot.velocities, "vd": robot.velocities, "torque": robot.joints}
-    fields = node.fields(["kind", "limb", "stance", "contacts", "time", *columns, "force", "moment", "timing"])
+    fields = node.fields(
+        ["kind", "limb", "stance", "contacts", "time", *columns, "force", "moment", "timing", "margins"]
+    )
     stance = fields["stance"].integer(at_least=0)
     if stance >= len(robot.stances):
         raise fields["stance"].error(f"there are {len(robot.stances)} stances, numbered from 0")
@@ -366,6 +393,24 @@ def _read_phase(node: Node, robot: RobotPlan) -> Phase:
         force={limb: forces[limb].array(len(time), 3) for limb in robot.limbs if limb in forces},
         moment={limb: moments[limb].array(len(time)) for limb in robot.limbs if limb in moments},
         timing=_read_timing(fields["timing"], robot),
+        margins={
+            kind: _read_margin(margin, robot.limbs)
+            for kind, margin in zip(MARGIN_KINDS, fields["margins"].fields(MARGIN_KINDS).values(), strict=True)
+        },
+    )
+
+
+def _read_margin(node: Node, limbs: tuple[str, ...]) -> PhaseMargin:
+    fields = node.fields(["value", "time", "direction", "limb"])
+    value = fields["value"].number()
+    if value < 0.0:
+        raise fields["value"].error("a number, 0 or greater, is expected")
+    x, y, z = (0.0, 0.0, 0.0) if fields["direction"].value is None else fields["direction"].array(3).tolist()
+    return PhaseMargin(
+        value=value,
+        time=fields["time"].number(),
+        direction=None if fields["direction"].value is None else (x, y, z),
+        limb=None if fields["limb"].value is None else fields["limb"].choice(limbs),
     )
 
 

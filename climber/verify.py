@@ -15,6 +15,7 @@ from climber.plan_file import Plan, RobotPlan
 from climber.robot import Model, Robot
 from climber.scenario import Scenario, check_against_robot, scenario_from_text
 from climber.verdict import Check, Ledger, Verdict
+from climber.verify_margins import MarginChecks
 from climber.verify_model import Tree
 from climber.verify_motion import MotionChecks
 from climber.verify_rules import LENGTH, RULES
@@ -58,6 +59,7 @@ def verify(plan: Plan | str | Path) -> Verdict:
         StructureChecks(robot, wall, spec, robot_plan, ledger).check()
         MotionChecks(robot, wall, spec, robot_plan, ledger).check()
         TimingChecks(robot, wall, robot_plan, ledger).check()
+        MarginChecks(robot, wall, robot_plan, ledger).check()
     if len(robots) > 1:
         TeamChecks(robots, read.robots, ledger).check()
     return Verdict(source, ledger.checks())

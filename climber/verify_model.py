@@ -9,6 +9,7 @@ they differ, so Drake remains the authority.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,6 +80,37 @@ class Tree:
         self._foot_body = [int(frame.body().index()) for frame in frames]
         self._foot = [frame.GetFixedPoseInBodyFrame().translation() for frame in frames]
         self._pelvis = int(robot.pelvis.index())
+
+    def heavier(self, times: float) -> Tree:
+        """The tree with all masses and inertias greater by a factor; what joints themselves resist by stays."""
+        result = copy(self)
+        result._mass, result._inertia = times * self._mass, times * self._inertia
+        return result
+
+    def off_center(self, displacement: Vector) -> Tree:
+        """The tree whose centre of mass is displaced, by the pelvis's, with the pelvis's inertia about its origin kept.
+
+        Args:
+            displacement: In the pelvis's frame [m], shape (3,).
+        """
+        result = copy(self)
+        result._center, result._inertia = self._center.copy(), self._inertia.copy()
+        body, mass = self._pelvis, self._mass[self._pelvis]
+        before = self._center[body]
+        after = before + self._mass.sum() / mass * displacement
+        result._center[body] = after
+        result._inertia[body] += mass * (_spread(before) - _spread(after))
+        return result
+
+    def held_at(self, points: Vector) -> Tree:
+        """The tree whose feet are points of the pelvis, given in its frame [m], shape (N, 3)."""
+        result = copy(self)
+        result._foot_body, result._foot = [self._pelvis] * len(points), list(points)
+        return result
+
+    def pelvis_turned(self, poses: Poses) -> Vector:
+        """The pelvis's orientation R_WB, shape (K, 3, 3)."""
+        return np.asarray(poses.rotation[self._pelvis])
 
     def poses(self, q: Vector) -> Poses:
         """Where the bodies are for positions `q`, shape (K, nq)."""
@@ -257,6 +289,11 @@ def _own(joint: Joint, q: Vector) -> Vector:
 def _own_rates(joint: Joint, v: Vector) -> Vector:
     """A joint's own columns of velocities or accelerations (K, nv)."""
     return v[:, joint.velocity_start() : joint.velocity_start() + joint.num_velocities()]
+
+
+def _spread(p: Vector) -> Vector:
+    """Inertia about the origin of 1 kg at p [m^2], shape (3, 3)."""
+    return np.asarray(p @ p * np.eye(3) - np.outer(p, p))
 
 
 def _cross(a: Vector, b: Vector) -> Vector:

@@ -32,6 +32,8 @@ DYNAMICS_BETWEEN = 0.05  # [N, N m]
 OVERSHOOT, OVERSHOOT_OF_JERK = 1.1, 1.5  # share of a limit
 IN_USE = 0.7  # share of a limit
 AT_LIMIT = 0.1  # of the weight
+# A claim is made up to a millionth of it, and tried by a solver; both are far less than what these forces are known by.
+MARGIN = 1e-4  # [N, N m]
 MODEL = 1e-8  # [m, N, N m] verify's own mechanics against Drake's
 
 RULES: Final[dict[str, Rule]] = {
@@ -72,5 +74,9 @@ RULES: Final[dict[str, Rule]] = {
     "free limbs": Rule("no force on a limb that holds nothing", "at most", FORCE, "N"),
     "dynamics at samples": Rule("M vd + h = S^T tau + J^T f", "at most", DYNAMICS_AT_SAMPLES, "N, N m"),
     "dynamics between": Rule("M vd + h = S^T tau + J^T f", "at most", DYNAMICS_BETWEEN, "N, N m"),
+    "margins": Rule(
+        "errors of each kind are survived as claimed (force or torque lacking)", "at most", MARGIN, "N, N m"
+    ),
+    "worst instants": Rule("greater errors are not survived where the plan says so", "at most", 0, "faults"),
     "mechanics": Rule("verify's own mechanics agree with Drake's at samples", "at most", MODEL, "m, N, N m"),
 }

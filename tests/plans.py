@@ -13,15 +13,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import cvxpy
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable, MultibodyForces
 
+from climber.margins import phase_margins
 from climber.plan_file import Cut, Phase, PhaseContact, Plan, RobotPlan
 from climber.robot import Model, Robot
-from climber.stance import Vector
+from climber.scenario import scenario_from_text
+from climber.stance import Contact, Vector
+from climber.timing import Samples
 
 QUADRUPED = "package://climber/quadruped/quadruped.urdf"
 LIMBS = ("right_front", "left_front", "left_rear", "right_rear")
@@ -267,7 +271,24 @@ def _plan(text: str, robot: Robot, stances: Sequence[Sequence[int]], phases: Seq
         counts={"stances": 2, "moves": 1},
         proofs={"moves": True, "cost": True, "relative_to": "the stance graph less the cuts listed"},
     )
-    return Plan("scenarios/small.yaml", text, 7, (robot_plan,), {"climber": "0.1.0"}, {"total": 1.5})
+    return with_margins(Plan("scenarios/small.yaml", text, 7, (robot_plan,), {"climber": "0.1.0"}, {"total": 1.5}))
+
+
+def with_margins(plan: Plan) -> Plan:
+    """The plan of one robot with the margins that its motion has on its own wall."""
+    (own,) = plan.robots
+    wall = scenario_from_text(plan.scenario_text).build_wall()
+    robot = Robot(Model.load(own.model), wall.gravity)
+    moving = [
+        SimpleNamespace(
+            contacts=tuple(Contact(LIMBS.index(c.limb), c.hold) for c in phase.contacts),
+            samples=Samples(phase.time, phase.q, phase.v, phase.vd),
+        )
+        for phase in own.phases
+    ]
+    survived = phase_margins(robot, wall, moving)
+    phases = tuple(replace(phase, margins=margins) for phase, margins in zip(own.phases, survived, strict=True))
+    return replace(plan, robots=(replace(own, phases=phases),))
 
 
 @cache

@@ -95,12 +95,12 @@ def test_a_duration_runs_from_the_first_sample_to_the_last() -> None:
         (b"[]", "an object is expected"),
         (b"null", "an object is expected"),
         (b"{}", "'format' is missing"),
-        (b'{"format": "climber-plan", "format": "climber-plan", "version": 1}', "given twice"),
+        (b'{"format": "climber-plan", "format": "climber-plan", "version": 2}', "given twice"),
         (b'{"format": "climber-plan", "version": NaN}', "numbers are finite"),
         (b'{"format": "climber-plan", "version": Infinity}', "numbers are finite"),
         (b'{"format": "climber-plan", "version": 3}', "reads version 2"),
         (b'{"format": "climber-plan", "version": true}', "reads version 2"),
-        (b'{"format": "a-plan", "version": 1}', "not a plan file"),
+        (b'{"format": "a-plan", "version": 2}', "not a plan file"),
         (b'{"format": "climber-plan", "version": 2}', "'scenario' is missing"),
         (b"[" * 100_000, "not a JSON file"),
     ],
@@ -237,6 +237,9 @@ def test_the_format_is_documented_field_by_field_and_check_by_check() -> None:
     fields |= {f"scenario.{key}" for key in SHORT["scenario"]}
     fields |= {f"timing.{key}" for key in robot["phases"][0]["timing"]}
     fields |= {f"contacts[k].{key}" for key in robot["phases"][0]["contacts"][0]}
+    margins = robot["phases"][0]["margins"]
+    fields |= {f"margins.{kind}" for kind in margins}
+    fields |= {f"margins.*.{key}" for key in margins["push"]}
     assert listed == fields
     for name, rule in RULES.items():
         limit = f"{rule.sense} {rule.limit:g} {rule.unit}".rstrip()

@@ -25,6 +25,7 @@ from plans import (
     step_plan,
     still_plan,
     straight_plan,
+    with_margins,
 )
 
 import climber.verdict
@@ -112,7 +113,7 @@ def on_a_model(folder: Path, *changes: tuple[str, str]) -> Plan:
     described = source.with_suffix(".yaml").read_text()
     path.with_suffix(".yaml").write_text(described[: described.index("symmetries:")])
     plan = retold(step_plan(), QUADRUPED, str(path))
-    return replace(plan, robots=(replace(plan.robots[0], model=str(path)),))
+    return with_margins(replace(plan, robots=(replace(plan.robots[0], model=str(path)),)))
 
 
 @pytest.mark.parametrize("make", [step_plan, edge_plan, straight_plan, with_posture, with_avoided])
@@ -156,13 +157,26 @@ EXACTLY = [
     ("obstacle clearance", step_plan, "scenario/text", told("[0.33, 0.0]", "[-0.1, -0.13]")),
     ("obstacle clearance", with_avoided, "scenario/text", told("[0.0, -0.2]", "[0.0, -0.02]")),
     ("equilibrium", edge_plan, f"{PHASE}/0/contacts/0/point/0", plus(-8e-5)),
-    ("friction", step_plan, "scenario/text", told("max_force: 20.0", "max_force: 6.0")),
-    ("friction", step_plan, "scenario/text", told("min_force: 1.0", "min_force: 2.5")),
     ("friction", step_plan, f"{PHASE}/1/force/left_rear/40/2", plus(5e-6)),
     ("moments", with_a_moment_written_down, f"{PHASE}/1/moment/left_rear/40", 5e-6),
     ("free limbs", with_a_free_limb_written_down, f"{PHASE}/1/force/right_front/40/1", 5e-5),
     ("dynamics at samples", step_plan, f"{PHASE}/1/torque/40/2", plus(0.01)),
     ("dynamics at samples", step_plan, f"{PHASE}/1/force/left_front/40/0", plus(0.01)),
+    ("margins", edge_plan, f"{PHASE}/0/margins/friction/value", plus(0.01)),
+    ("margins", step_plan, f"{PHASE}/1/margins/push/value", plus(0.4)),
+    ("margins", step_plan, f"{PHASE}/0/margins/mass/value", plus(0.02)),
+    ("margins", step_plan, f"{PHASE}/1/margins/center/value", plus(0.003)),
+    ("margins", edge_plan, f"{PHASE}/0/margins/place/value", plus(1e-3)),
+    ("margins", step_plan, f"{PHASE}/1/margins/normal/value", plus(0.05)),
+    ("worst instants", step_plan, f"{PHASE}/1/margins/push/value", plus(-0.4)),
+    ("worst instants", step_plan, f"{PHASE}/1/margins/center/time", 1.6),
+    ("worst instants", step_plan, f"{PHASE}/1/margins/push/time", plus(0.005)),
+    ("worst instants", step_plan, f"{PHASE}/1/margins/mass/direction/1", -1.0),
+    ("worst instants", step_plan, f"{PHASE}/1/margins/push/direction/1", plus(0.1)),
+    ("worst instants", step_plan, f"{PHASE}/1/margins/normal/limb", "left_front"),
+    ("worst instants", step_plan, f"{PHASE}/1/margins/normal/limb", "right_front"),
+    ("worst instants", step_plan, f"{PHASE}/1/margins/push/limb", "left_front"),
+    ("worst instants", step_plan, f"{PHASE}/1/margins/place/value", 0.03),
 ]
 
 
@@ -171,6 +185,13 @@ def test_one_changed_number_is_found_by_the_check_for_it_and_by_no_other(
     check: str, make: Callable[[], Plan], path: str, value: object
 ) -> None:
     assert failing(edited(make(), path, value)) == {check}
+
+
+@pytest.mark.parametrize("limit", ["max_force: 6.0", "min_force: 2.5"])
+def test_forces_that_holds_do_not_give_are_found(limit: str) -> None:
+    """On holds with other limits, of whose margins the plan is right."""
+    old = {"max_force: 6.0": "max_force: 20.0", "min_force: 2.5": "min_force: 1.0"}[limit]
+    assert failing(with_margins(retold(step_plan(), old, limit)).to_json()) == {"friction"}
 
 
 @pytest.mark.parametrize(
@@ -273,7 +294,7 @@ def test_samples_that_are_too_far_apart_are_found() -> None:
     for phase in robot.phases:
         thinned = {name: getattr(phase, name)[::2] for name in series}
         phases.append(replace(phase, **thinned, force={limb: force[::2] for limb, force in phase.force.items()}))
-    verdict = verify(replace(step_plan(), robots=(replace(robot, phases=tuple(phases)),)))
+    verdict = verify(with_margins(replace(step_plan(), robots=(replace(robot, phases=tuple(phases)),))))
     assert [check.name for check in verdict.failures] == ["sampling"]
     assert verdict["sampling"].worst == pytest.approx(0.02)
 

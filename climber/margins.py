@@ -1,0 +1,107 @@
+"""What the phases of a motion survive: less friction, pushes, wrong masses, holds out of place and turned.
+
+The motion stays what it is planned to be; contact forces and torques may be others, within all limits. Each margin is
+the greatest error of one kind alone that every sample of the phase survives in this sense. A margin is proved at all
+samples by forces that balance and keep to the limits, and it is the greatest up to `programs.margins.GAP`, but for
+`place`, see `programs.place_margin`. Greater margins than `CAPS` are not told apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from climber.phase_instants import Moving, PhaseInstants
+from climber.plan_file import MARGIN_KINDS, MarginKind, PhaseMargin
+from climber.programs.grip_margins import ErrorMargin, FrictionError, NormalError
+from climber.programs.grips import wall_grips
+from climber.programs.margins import GAP, DisturbanceMargin, Worst
+from climber.programs.place_margin import CAP, PlaceMargin
+from climber.programs.rays import rays
+from climber.robot import Robot
+from climber.stance import Vector
+from climber.wall import Wall
+
+# friction and mass as shares, push [N], center and place [m], normal [rad]
+CAPS: dict[MarginKind, float] = {
+    "friction": FrictionError.cap,
+    "push": 1000.0,
+    "mass": 1.0,
+    "center": 1.0,
+    "place": CAP,
+    "normal": NormalError.cap,
+}
+SAFE = 1.0 - 1e-6  # for the rounding of who checks them
+
+
+def phase_margins(
+    robot: Robot, wall: Wall, phases: Sequence[Moving], kinds: Sequence[MarginKind] = MARGIN_KINDS
+) -> list[dict[MarginKind, PhaseMargin]]:
+    """The margins of each phase.
+
+    Args:
+        robot: The robot.
+        wall: The wall, whose friction is what it is.
+        phases: The phases.
+        kinds: Which margins to compute.
+    """
+    result: list[dict[MarginKind, PhaseMargin]] = [{} for _ in phases]
+    grips = wall_grips(wall, robot.dimension)
+    counts = [len(phase.contacts) for phase in phases]
+    for count in sorted(set(counts)):
+        places = [p for p, k in enumerate(counts) if k == count]
+        several = _Several(PhaseInstants(robot, grips, [phases[p] for p in places]))
+        for kind in kinds:
+            for p, margin in zip(places, several.margins(kind), strict=True):
+                result[p][kind] = margin
+    return result
+
+
+class _Several:
+    """Phases with as many contacts each."""
+
+    def __init__(self, phases: PhaseInstants) -> None:
+        self._phases = phases
+        self._limbs = phases.robot.limb_names
+
+    def margins(self, kind: MarginKind) -> list[PhaseMargin]:
+        """The margins of one kind."""
+        phases, dimension = self._phases, self._phases.robot.dimension
+        if kind == "friction":
+            slippery = FrictionError(phases.grips, phases.num_contacts, dimension)
+            worst = ErrorMargin(phases.instants, slippery, phases.grips.most.shape[1]).solve()
+            return self._told(kind, worst, [None] * len(worst.value), [None] * len(worst.value))
+        if kind == "normal":
+            error = NormalError(phases.grips, phases.num_contacts, dimension)
+            worst = ErrorMargin(phases.instants, error, phases.grips.most.shape[1]).solve()
+            axes = [error.axis(p, int(w)) for p, w in enumerate(worst.which)]
+            return self._told(kind, worst, axes, [error.contact(int(w)) for w in worst.which])
+        if kind == "place":
+            worst, toward = PlaceMargin(phases.instants, phases.lever, dimension).solve()
+            return self._told(kind, worst, list(toward), [int(w) for w in worst.which])
+        disturbance = {"push": phases.push, "mass": phases.mass, "center": phases.center}[kind]
+        around = rays(disturbance.B.shape[2])
+        worst = DisturbanceMargin(phases.instants, disturbance.B, disturbance.C, CAPS[kind], around).solve()
+        toward = around.directions[worst.which]
+        if kind == "mass":  # heavier pulls down, lighter up
+            toward = toward * phases.robot.gravity / max(float(np.linalg.norm(phases.robot.gravity)), 1e-300)
+        return self._told(kind, worst, list(toward), [None] * len(toward))
+
+    def _told(
+        self, kind: MarginKind, worst: Worst, directions: Sequence[Vector | None], contacts: Sequence[int | None]
+    ) -> list[PhaseMargin]:
+        margins = []
+        for p, (direction, contact) in enumerate(zip(directions, contacts, strict=True)):
+            if worst.value[p] >= (1.0 - 2.0 * GAP) * CAPS[kind]:  # nothing is worst
+                direction = contact = None
+            x, y, z = (0.0, 0.0, 0.0) if direction is None else np.pad(direction, (0, 3 - len(direction))).tolist()
+            margins.append(
+                PhaseMargin(
+                    value=float(worst.value[p]) * SAFE,
+                    time=float(self._phases.time[worst.instant[p]]),
+                    direction=None if direction is None else (x, y, z),
+                    limb=None if contact is None else self._limbs[self._phases.limbs[p, contact]],
+                )
+            )
+        return margins

@@ -1,0 +1,133 @@
+"""Margins of phases: the greatest disturbance, and the greatest error of a hold, that every instant survives.
+
+Both are sought best first: every instant has a number that forces found so far prove, and programs are solved only at
+the instants, and in the directions, where the least of these numbers are. The forces they give are tried at all other
+instants of the phase. What is returned is proved at every instant, and is the greatest possible up to `GAP`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from climber.programs.rays import Rays
+from climber.programs.survival import Instants, solve_each
+from climber.robot import Indices
+from climber.stance import Vector
+
+GAP = 1e-2  # share of a margin that it may be short of the greatest, in the plane
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The margin of each of P phases.
+
+    Attributes:
+        value: The margin, shape (P,).
+        instant: The instant where it is least, shape (P,).
+        which: What is worst there: the number of a direction, or of an error; shape (P,).
+    """
+
+    value: Vector
+    instant: Indices
+    which: Indices
+
+
+class DisturbanceMargin:
+    """The largest ball of disturbances that every instant of a phase survives.
+
+    The disturbances d that an instant survives, those for which E x = b + B d, G x <= g + C d has a solution x, are a
+    convex set. On rays u_m from the origin its border is at
+
+        rho_m = max rho   subject to  E x = b + rho B u_m,   G x <= g + rho C u_m,   rho <= cap,
+
+    and the ball inside the polytope of the points rho_m u_m is proved. In one dimension it is exact, in the plane it is
+    the greatest but for the factor cos(pi / M) of M rays.
+    """
+
+    def __init__(self, instants: Instants, B: Vector, C: Vector, cap: float, rays: Rays) -> None:
+        """Prepares.
+
+        Args:
+            instants: The instants.
+            B: Shape (K, u, D).
+            C: Shape (K, r, D).
+            cap: Greater disturbances are not looked for.
+            rays: In D dimensions.
+        """
+        self.instants, self.rays, self.cap = instants, rays, cap
+        self._right = np.einsum("kud,md->kmu", B, rays.directions)
+        self._limits = np.einsum("krd,md->kmr", C, rays.directions)
+        K, M = len(instants), len(rays.directions)
+        self._room = instants.room(instants.center)
+        self.rho = np.zeros((K, M))
+        self._exact = np.broadcast_to(~instants.sound[:, None], (K, M)).copy()
+        answer = np.einsum("knu,kmu->kmn", instants.inverse, self._right)
+        gap = np.abs(np.einsum("kun,kmn->kmu", instants.E, answer) - self._right).max(axis=2, initial=0.0)
+        slope = instants.G @ np.swapaxes(answer, 1, 2) - np.swapaxes(self._limits, 1, 2)
+        far = instants.stepped(self._room[:, :, None], slope)
+        # A disturbance that no forces balance, of whatever size, is not survived at all.
+        self._exact |= gap > 1e-7
+        self.rho = np.where(self._exact, 0.0, np.minimum(far, cap))
+
+    def solve(self) -> Worst:
+        """The margins."""
+        starts = self.instants.starts
+        P = len(starts) - 1
+        value, best = np.zeros(P), np.full(P, self.cap)
+        worst, which = starts[:-1].copy(), np.zeros(P, dtype=int)
+        radius, face = np.empty(len(self.instants)), np.empty(len(self.instants), dtype=int)
+        unfinished: Sequence[int] = range(P)
+        while unfinished:
+            wanted: list[tuple[int, int]] = []
+            for p in unfinished:
+                span = slice(starts[p], starts[p + 1])
+                radius[span], face[span], self.rho[span] = self.rays.inscribed(self.rho[span])
+                k = int(starts[p] + np.argmin(radius[span]))
+                value[p] = radius[k]
+                corners = self.rays.faces[face[k]]
+                nearest = int(corners[np.argmin(self.rho[k, corners])])
+                missing = [(k, int(m)) for m in corners if not self._exact[k, m] and self.rho[k, m] < self.cap]
+                if not missing and self.rho[k, nearest] < best[p]:
+                    best[p], worst[p], which[p] = self.rho[k, nearest], k, nearest
+                if value[p] < (1.0 - GAP) * best[p]:
+                    wanted += missing
+            unfinished = sorted({int(self.instants.phase[k]) for k, _ in wanted})
+            if wanted:
+                for k, m, border in zip(*self._refine(np.array(wanted)), strict=True):
+                    p = self.instants.phase[k]
+                    if border < best[p]:
+                        best[p], worst[p], which[p] = border, k, m
+        return Worst(value, worst, which)
+
+    def _refine(self, pairs: Indices) -> tuple[list[int], list[int], list[float]]:
+        """Solves the programs of pairs of instants and rays; their borders.
+
+        The forces are tried at the other instants of the phases.
+        """
+        k, m = pairs.T
+        at = self.instants[k]
+        n = at.E.shape[2]
+        B, C = self._right[k, m], self._limits[k, m]
+        cost, most = np.zeros((len(k), n + 1)), np.zeros((len(k), 1, n + 1))
+        cost[:, n], most[:, 0, n] = -1.0, 1.0
+        rows = np.concatenate([np.concatenate([at.G, -C[:, :, None]], axis=2), most], axis=1)
+        right = np.concatenate([at.g, np.full((len(k), 1), self.cap)], axis=1)
+        found = solve_each(cost, np.concatenate([at.E, -B[:, :, None]], axis=2), at.balanceable, rows, right)
+        starts = self.instants.starts
+        for i in np.flatnonzero(np.isfinite(found[:, n]) & (found[:, n] > 0.0)):
+            p = self.instants.phase[k[i]]
+            self._try(slice(starts[p], starts[p + 1]), int(m[i]), found[i, :n], found[i, n])
+        self._exact[k, m] = True
+        return k.tolist(), m.tolist(), self.rho[k, m].tolist()
+
+    def _try(self, span: slice, m: int, x: Vector, rho: float) -> None:
+        """Follows the way from the center to forces x for the disturbance rho u_m, at the instants of a phase."""
+        near = self.instants[span]
+        center, room = self.instants.center[span], self._room[span]
+        step = near.balanced(x, rho * self._right[span, m]) - center
+        slope = np.einsum("krn,kn->kr", near.G, step) - rho * self._limits[span, m]
+        far = np.minimum(near.stepped(room, slope) * rho, self.cap)
+        self.rho[span, m] = np.where(self._exact[span, m], self.rho[span, m], np.maximum(self.rho[span, m], far))
