@@ -68,14 +68,9 @@ class Sweep:
         self.pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         counts = np.array([len(part.corners) for part in self._parts])
         self._kinds = counts[self.pairs]  # pairs of as many corners are measured together
-        self._corners = np.zeros((len(parts), counts.max(), 3))
-        self._middle = np.array([part.corners.mean(axis=0) for part in self._parts])
         self._radius = np.array([part.radius for part in self._parts])
-        self._size = self._radius.copy()
         moved = np.zeros((len(parts), self._ends[-1]))
         for place, (owner, part) in enumerate(parts):
-            self._corners[place, : counts[place]] = part.corners
-            self._size[place] += np.linalg.norm(part.corners - self._middle[place], axis=1).max()
             moved[place, self._own(owner)] = levers(robots[owner], part)
         one, two = moved[self.pairs[:, 0]], moved[self.pairs[:, 1]]
         # What carries both moves neither against the other.
@@ -140,31 +135,33 @@ class Sweep:
     def distances(self, q: Vector, rows: Indices, pairs: Indices) -> Vector:
         """Distances of the pairs `pairs[k]` at positions `q[rows[k]]` [m], at most `FAR`, shape (K,).
 
-        Disks around the parts tell which pairs are near enough to be measured. Where cores meet it is minus the
-        thickness around them.
+        Boxes along W's axes around the parts tell which pairs are near enough to be measured. Where cores meet it is
+        minus the thickness around them.
         """
-        rotation, origin = self._placed(q)
-        middle = np.einsum("pkij,pj->pki", rotation, self._middle) + origin
+        corners = self._placed(q)
+        low, high = (np.stack([end(at, axis=1) for at in corners]) for end in (np.min, np.max))  # (num_parts, K, 3)
         one, two = self.pairs[pairs].T
-        apart = np.linalg.norm(middle[one, rows] - middle[two, rows], axis=1) - self._size[one] - self._size[two]
+        aside = np.maximum(low[one, rows] - high[two, rows], low[two, rows] - high[one, rows])
+        radius = self._radius[one] + self._radius[two]
+        near = np.linalg.norm(np.maximum(aside, 0.0), axis=1) - radius < FAR
         result = np.full(len(rows), FAR)
-        for kind in np.unique(self._kinds[pairs], axis=0):
-            alike = np.flatnonzero((apart < FAR) & (self._kinds[pairs] == kind).all(axis=1))
+        for kind in np.unique(self._kinds[pairs[near]], axis=0):
+            alike = np.flatnonzero(near & (self._kinds[pairs] == kind).all(axis=1))
             for some in np.array_split(alike, len(alike) * kind.prod() // CHUNK + 1):
                 hulls = [
-                    self._corners[part[some], :count] @ np.swapaxes(rotation[part[some], rows[some]], 1, 2)
-                    + origin[part[some], rows[some]][:, None]
-                    for part, count in zip((one, two), kind, strict=True)
+                    np.array([corners[part][row] for part, row in zip(parts, rows[some], strict=True)])
+                    for parts in (one[some], two[some])
                 ]
-                cores, radius = hull_distances(*hulls), self._radius[one[some]] + self._radius[two[some]]
-                result[some] = np.minimum(gap(cores, radius), FAR)
+                result[some] = np.minimum(gap(hull_distances(*hulls), radius[some]), FAR)
         return result
 
-    def _placed(self, q: Vector) -> tuple[Vector, Vector]:
-        """Orientation (num_parts, K, 3, 3) and origin (num_parts, K, 3) of every part's body at positions (K, nq)."""
+    def _placed(self, q: Vector) -> list[Vector]:
+        """Where the corners of each part are in W [m] at positions `q` (K, nq), shape (K, number of corners, 3)."""
         poses = [tree.poses(q[:, self._own(owner)]) for owner, tree in enumerate(self._trees)]
-        bodies = [(poses[owner], part.body) for owner, part in zip(self._owners, self._parts, strict=True)]
-        return np.stack([p.rotation[b] for p, b in bodies]), np.stack([p.origin[b] for p, b in bodies])
+        return [
+            part.corners @ np.swapaxes(poses[owner].rotation[part.body], 1, 2) + poses[owner].origin[part.body][:, None]
+            for owner, part in zip(self._owners, self._parts, strict=True)
+        ]
 
 
 class SpaceClearance:
