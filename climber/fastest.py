@@ -2,9 +2,12 @@
 
 The leg is run along a parameter x whose minimum-jerk law takes it from rest to rest: at either end q' and q'' vanish,
 so that any positive speed along x begins and ends with neither speed nor acceleration, and contact forces do not jump
-where one phase follows another. Of all speeds `climber.programs.time_scaling` finds the fastest, within limits that
-are tighter than the true ones by margins: what is true at some forty places of the leg must hold between them too, and
-leave a controller something to correct with.
+where one phase follows another. Of all speeds `climber.programs.time_scaling` finds the fastest.
+
+Contacts and motors must be able to make accelerations that are greater than the motion's own by a constant factor. That
+is the margin: what is true at some forty places of the leg must hold between them too, and a controller needs something
+to correct with. It is there wherever the robot can stand at all, it grows with the room that there is at rest, and less
+friction never leaves more of it.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from climber.manifold import Body
 from climber.programs import torque_blocks
 from climber.programs.forces import wall_forces
 from climber.programs.instants import Instants, Margin
-from climber.programs.safest import cone_room, safest_forces
+from climber.programs.safest import cone_room
 from climber.programs.speed_profile import SpeedProfile, TimeLaw
 from climber.programs.time_scaling import PathDynamics, TimeScaling, TimeScalingProgram
 from climber.programs.torque import solve_instants
@@ -34,9 +37,7 @@ JERK = 1000.0  # [rad/s^3] of joints: full acceleration in some 50 ms
 # What the samples keep to: less than what postures are chosen with (`climber.programs.torque.MARGIN`), so that there is
 # room to move in even where a posture is at the edge of what can be held.
 MARGIN = Margin(force=0.002)
-FORCE_MARGIN = 0.05  # of the robot's weight [N], from every limit of a contact force
-TORQUE_MARGIN = 0.1  # of each torque limit
-ROOM = 0.5  # of the room that there is at rest, where that is less than the margin
+RESERVE = 0.7  # share of the accelerations that contacts and motors could make which a motion has
 INTERVALS = 20.0  # of the speed profile, per second at full joint rates
 FEWEST_AND_MOST = (16, 80)  # of these intervals
 OVERSHOOT = (1.02, 1.06, 1.4)  # times the limits of speed, acceleration and jerk that samples may have
@@ -108,6 +109,7 @@ class FastLeg:
         law: Its timing, along x.
         scaling: The solution of the program that it comes from.
         x: The places of that program, shape (N,).
+        t: Forces that make the motion there, shape (N, n).
         slowing: How much slower than the solution it is.
     """
 
@@ -115,6 +117,7 @@ class FastLeg:
     law: TimeLaw
     scaling: TimeScaling
     x: Vector
+    t: Vector
     slowing: float = 1.0
 
     @property
@@ -137,9 +140,9 @@ class FastLeg:
         return Samples(time, q, v, vd)
 
     def forces(self, count: int) -> Vector:
-        """The program's forces at `count` even instants, shape (count, n): near those that make the motion."""
+        """Forces at `count` even instants, shape (count, n): near to some that make the motion."""
         x, _, _ = self.law.at(np.linspace(0.0, self.duration, count))
-        columns = [np.interp(x, self.x, column) for column in self.scaling.t.T]
+        columns = [np.interp(x, self.x, column) for column in self.t.T]
         return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
 
 
@@ -172,17 +175,19 @@ def fastest_leg(body: Body, contacts: Sequence[Contact], path: PacedPath, limits
     q, v, vd = path.at(path.length * place, along, bent)
     loads, J = _loads(body.robot, q, v, vd, [contact.limb for contact in contacts])
     standing = instants_of(body, contacts, loads[0], J)
-    scale = foot_load(body, contacts)
-    t, good = safest_forces(standing, torque_blocks.unlimited(standing), scale)
-    if not good.all():
-        lacking = failure(body, contacts, standing[~good])
-        at = np.flatnonzero(~good)[lacking[0]] / (len(x) - 1) if lacking else 0.0
-        return lacking and f"the robot cannot stand still at {at:.0%} of the way: {lacking[1]}"
-    dynamics = _dynamics(body, contacts, x, loads, standing, t, v, vd, limits)
-    scaling = TimeScalingProgram(dynamics, profile).solve()
+    t = torque_blocks.unlimited(standing)
+    tight = np.flatnonzero(~standing.inside(t) | (standing.imbalance(t) > torque_blocks.TOLERANCE))
+    if len(tight):
+        lacking = failure(body, contacts, standing[tight])
+        if lacking is not None:
+            at = tight[lacking[0]] / (len(x) - 1)
+            return f"the robot cannot stand still at {at:.0%} of the way: {lacking[1]}"
+        t[tight] = torque_blocks.least_violation(standing[tight])[0]
+    scaling = TimeScalingProgram(_dynamics(body, contacts, x, loads, standing, v, vd, limits), profile).solve()
     if scaling is None:
         return None
-    leg = FastLeg(path, TimeLaw(profile, scaling.coefficients), scaling, x)
+    # Forces for a motion between rest and one faster than it are between those of both.
+    leg = FastLeg(path, TimeLaw(profile, scaling.coefficients), scaling, x, RESERVE * scaling.t + (1 - RESERVE) * t)
     return leg.slowed(max(1.0, SHORTEST / leg.duration))
 
 
@@ -220,25 +225,18 @@ def _dynamics(
     x: Vector,
     loads: Vector,
     standing: Instants,
-    t: Vector,
     v: Vector,
     vd: Vector,
     limits: RateLimits,
 ) -> PathDynamics:
-    """The leg's dynamics, limits tightened by their margins, or by a share of the room left by the forces at rest t."""
-    robot = body.robot
+    """The leg's dynamics, what contacts and motors must supply exaggerated by the reserve."""
+    robot, loads = body.robot, np.concatenate([loads[:1], loads[1:] / RESERVE])
     driven = robot.joint_v[standing.motors]
     free = np.setdiff1d(np.arange(loads.shape[2]), driven)
     if np.abs(loads[3][:, free]).max(initial=0.0) > 0.0:
         raise ModelError(f"{robot.model.path}: a joint without a motor must not be damped; motions cannot be timed")
     (rows, *_), most = standing.force_limits()  # the same everywhere
     (cones, *_), tops = standing.force_cones()
-    margin = FORCE_MARGIN * GRAVITY * robot.mass
-    inward = np.minimum(margin, ROOM * (most - t @ rows.T))
-    tops = tops.copy()
-    tops[:, :, 0] -= np.minimum(margin, ROOM * cone_room(tops - np.einsum("can,kn->kca", cones, t)))
-    unused = standing.limit - np.abs(standing.motor_torque(t))
-    spare = np.minimum(np.where(np.isfinite(standing.effort), TORQUE_MARGIN * standing.effort, 0.0), ROOM * unused)
     return PathDynamics(
         x=x,
         E=standing.E,
@@ -250,9 +248,9 @@ def _dynamics(
         speed=limits.speed,
         acceleration=limits.acceleration,
         jerk=limits.jerk,
-        torque=standing.limit - spare,
+        torque=np.broadcast_to(standing.limit, standing.c.shape),
         rows=rows,
-        most=most - inward,
+        most=most,
         cones=cones,
         tops=tops,
         names=(

@@ -21,6 +21,8 @@ from climber.stance import Vector
 
 FASTEST = 100.0  # b is bounded by this: no motion is more than ten times as fast as the path's own pace
 SLOWEST = 1e-6  # and coefficients of b by this: nor a thousand times as slow
+ROUNDS = 6  # after the first, at the most
+GAIN = 0.02  # share of the duration: a round that gains less is the last one
 GAP = 1e-6  # relative accuracy asked of the duration
 FEASIBILITY = 1e-7  # accuracy asked of the constraints
 ACTIVE = 1e-3  # share of a limit: less room than this, and a price on it of more than this, make it active
@@ -225,7 +227,7 @@ class TimeScalingProgram:
         self._solver: clarabel.DefaultSolver | None = None
         self._balance(rest)
         self._forces()
-        self._speeds()
+        self._speeds(rest)
         self._accelerations()
         self._time()
 
@@ -276,13 +278,13 @@ class TimeScalingProgram:
             dynamics.tops[i, s, axis], self._of_force(i, dynamics.cones[s, axis])
         )
 
-    def _speeds(self) -> None:
+    def _speeds(self, rest: bool) -> None:
         every = np.arange(self._N)
         most, _ = self.dynamics.fastest
         self.constraints["speed"] = self._below.add(most, self._of_speed(every, np.ones(self._N), np.zeros(self._N)))
         size = self.profile.size
         self.constraints["positive"] = self._below.add(
-            np.full(size, -SLOWEST), (np.arange(size)[:, None], -np.ones((size, 1)))
+            np.full(size, 0.0 if rest else -SLOWEST), (np.arange(size)[:, None], -np.ones((size, 1)))
         )
 
     def _accelerations(self) -> None:
@@ -340,21 +342,28 @@ class TimeScalingProgram:
 
     # -- solving
 
-    def solve(self, iterations: int = 2) -> TimeScaling | None:
+    def solve(self) -> TimeScaling | None:
         """The fastest timing, or None if Clarabel finds none.
 
-        Args:
-            iterations: How often the program is solved, where the reference b' matters. The first b' is one and a half
-                times that of the paced motion, see `PathDynamics.paced`.
+        The first reference b' is one and a half times that of the paced motion, see `PathDynamics.paced`, the next ones
+        the solution before, until they hardly gain any more.
         """
         reference = np.minimum(1.5 * self.dynamics.paced(), self.dynamics.fastest[0])
-        best = None
-        once = self.dynamics.damping is None and not np.isfinite(self.dynamics.jerk).any()
-        for _ in range(1 if once else iterations):
-            found = self.solve_at(reference)
+        best = self.solve_at(reference)
+        while best is None and self.dynamics.damping is not None and reference.min() > SLOWEST:
+            reference = reference / 16.0  # at so high a speed damping takes more torque than there is
+            best = self.solve_at(reference)
+        if self.dynamics.damping is None and not np.isfinite(self.dynamics.jerk).any():
+            return best  # nothing depends on it
+        for _ in range(ROUNDS):
+            if best is None:
+                break
+            found = self.solve_at(np.maximum(best.b, SLOWEST))
             if found is None:
-                return best
-            best, reference = found, np.maximum(found.b, SLOWEST)
+                break
+            gained, best = 1.0 - found.duration / best.duration, found
+            if gained < GAIN:
+                break
         return best
 
     def solve_at(self, reference: Vector) -> TimeScaling | None:
