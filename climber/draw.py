@@ -130,7 +130,7 @@ def climb_picture(scene: Scene, surface: Surface = SvgCanvas) -> Canvas:
     """Snapshots of a climb: its start, every move at lift-off with the way the foot will go, and its end.
 
     As in Gönen 2021, fig. 5.3, the shaded band is where the centre of mass may lie: lighter with every limb in
-    contact, darker once the moving limb has let go.
+    contact, darker once the moving limb has let go. Of a robot in space it is how far that region extends along x.
     """
     wall, climbs = scene.wall, scene.climbs
     moves = sorted(

@@ -79,7 +79,7 @@ def wall_entries(wall: Wall) -> list[Entry]:
     words = {"friction": "hold, friction cone", "pin": "pin", "magnet": "magnet, friction cone"}
     first = {each.grip: each for each in reversed(wall.holds)}
     entries = [(hold(first[grip]), words[grip]) for grip in CONES if grip in first]
-    if wall.obstacles:
+    if wall.obstacles or wall.solids:
         entries.append((box(OBSTACLE, 0.75, ROCK_EDGE), "obstacle"))
     return entries
 

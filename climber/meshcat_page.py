@@ -18,7 +18,6 @@ from pydrake.geometry import (
     MeshcatParams,
     MeshcatVisualizer,
     MeshcatVisualizerParams,
-    Rgba,
     Sphere,
 )
 from pydrake.math import RigidTransform, RotationMatrix
@@ -27,6 +26,7 @@ from pydrake.systems.framework import DiagramBuilder
 from shapely.geometry import Polygon
 
 from climber.files import write_text
+from climber.meshcat_space import add_holds, add_rock, rgba, slab_of
 from climber.picture import CONES, OBSTACLE, bounds, rock, wedge
 from climber.plan_file import Plan
 from climber.replay import Replay
@@ -41,13 +41,11 @@ BAND_ALL, BAND_HOLDING, BAND_SHARED = "#bfd9f4", "#93bdea", "#6ba3df"  # lit, th
 # The robot moves in z = 0 and the slab is behind it. Front faces, along z in W [m].
 SLAB, CONE, HOLD, OBSTACLE_FRONT = -0.030, -0.026, 0.010, 0.015
 SLAB_DEPTH = 0.02  # [m]
+BELOW = 0.15  # how far support polygons are below the holds [m]
 CENTER_RADIUS, IN_FRONT = 0.008, np.array([0.0, 0.0, 0.022])  # [m]
 
 
-def rgba(color: str, alpha: float = 1.0) -> Rgba:
-    """A colour given as `#rrggbb`."""
-    red, green, blue = (int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
-    return Rgba(red, green, blue, alpha)
+Sheet = tuple[tuple[Vector, NDArray[np.int32]], str]  # a triangle mesh and its colour
 
 
 def wall_pose(wall: Wall, lowest: float) -> RigidTransform:
@@ -129,34 +127,54 @@ class _Stage:
         for i, (climb, instance) in enumerate(zip(self._climbs, self._instances, strict=True)):
             moment = climb.at(time)
             self._plant.SetPositions(context, instance, moment.q)
-            center = climb.outline(moment).center_of_mass + IN_FRONT
+            center = climb.outline(moment).center_of_mass + (IN_FRONT if climb.robot.planar else 0.0)
             self._meshcat.SetTransform(self._center(i), RigidTransform(center), time - self._start)
         self._context.SetTime(time - self._start)
         self._diagram.ForcedPublish(self._context)
 
 
 def _add_support(meshcat: Meshcat, climb: Replay, robot: int, lower: Vector, upper: Vector, start: float) -> None:
-    """Support intervals as bands on the slab, each seen during its phase only."""
+    """Support intervals as bands on the slab, or polygons below the robot, each seen during its phase only."""
     recording = meshcat.get_mutable_recording()
     for number, phase in enumerate(climb.plan.phases):
-        every, holding = climb.standing_support(number), climb.support[number]
-        bands = [(every, BAND_ALL)]
-        if climb.moving(number) is not None:
-            shared = np.array([max(every[0], holding[0]), min(every[1], holding[1])])
-            bands += [(holding, BAND_HOLDING), (shared, BAND_SHARED)]
-        for layer, (interval, color) in enumerate(bands):
-            low, high = np.clip(interval, lower[0], upper[0])
-            if not high > low:  # empty, or beside the slab
-                continue
+        sheets = _bands(climb, number, lower, upper) if climb.polygons is None else _polygons(climb, number, lower)
+        for layer, (sheet, color) in enumerate(sheets):
             path = f"{ROOT}/support/{robot}/{number}_{layer}"
-            outline = np.array([[low, lower[1]], [high, lower[1]], [high, upper[1]], [low, upper[1]]])
-            meshcat.SetTriangleMesh(path, *prism(outline, SLAB, SLAB + 0.001 * (layer + 1)), rgba(color))
+            meshcat.SetTriangleMesh(path, *sheet, rgba(color))
             begin, end = (round(FRAMES_PER_SECOND * (t - start)) for t in (phase.time[0], phase.time[-1]))
             if begin > 0:
                 recording.SetProperty(0, path, "visible", False)
             recording.SetProperty(begin, path, "visible", True)
             if number + 1 < len(climb.plan.phases):
                 recording.SetProperty(end, path, "visible", False)
+
+
+def _bands(climb: Replay, number: int, lower: Vector, upper: Vector) -> Iterator[Sheet]:
+    """The support intervals of a phase on the slab: with all limbs on, and if one swings, without it and with both."""
+    every, holding = climb.standing_support(number), climb.support[number]
+    bands = [(every, BAND_ALL)]
+    if climb.moving(number) is not None:
+        shared = np.array([max(every[0], holding[0]), min(every[1], holding[1])])
+        bands += [(holding, BAND_HOLDING), (shared, BAND_SHARED)]
+    for layer, (interval, color) in enumerate(bands):
+        low, high = np.clip(interval, lower[0], upper[0])
+        if high > low:  # neither empty nor beside the slab
+            outline = np.array([[low, lower[1]], [high, lower[1]], [high, upper[1]], [low, upper[1]]])
+            yield prism(outline, SLAB, SLAB + 0.001 * (layer + 1)), color
+
+
+def _polygons(climb: Replay, number: int, lower: Vector) -> Iterator[Sheet]:
+    """The support polygons of a phase below all that is seen: with all limbs on, and above it, if one swings, without.
+
+    Polygons of a robot in space lie across gravity; the robot's centre of mass is to be above them.
+    """
+    assert climb.polygons is not None
+    up = -climb.robot.gravity / np.linalg.norm(climb.robot.gravity)
+    level = float(up @ [lower[0], lower[1], 0.0]) - BELOW
+    standing = number if climb.moving(number) is None else max(number - 1, 0)
+    for layer, (place, color) in enumerate(((standing, BAND_ALL), (number, BAND_HOLDING))[: 1 + (standing != number)]):
+        if len(climb.polygons[place]) > 2:
+            yield slab_of(climb.polygons[place], up, level + 0.002 * layer), color
 
 
 @contextmanager
@@ -188,7 +206,11 @@ def meshcat_page(scene: Scene, title: str = "") -> str:
     meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.97])
     meshcat.SetProperty("/Background", "bottom_color", [1.0, 1.0, 1.0])
     meshcat.SetProperty("/Axes", "visible", False)
-    _add_wall(meshcat, scene.wall, lower, upper)
+    if all(climb.robot.planar for climb in scene.climbs):
+        _add_wall(meshcat, scene.wall, lower, upper)
+    else:
+        add_rock(meshcat, ROOT, scene.wall)
+        add_holds(meshcat, ROOT, scene.wall.holds)
     stage = _Stage(meshcat, scene)
     meshcat.StartRecording(FRAMES_PER_SECOND, set_visualizations_while_recording=False)
     for frame in range(round(FRAMES_PER_SECOND * (scene.end - scene.start)) + 1):

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import ArrayLike
+from shapely.geometry import LineString, box
 from shapely.geometry.base import BaseGeometry
 
 from climber.canvas import Canvas, View
@@ -31,10 +32,15 @@ CONE_LENGTH = 0.045  # [m]
 def bounds(wall: Wall, points: Iterable[ArrayLike] = (), margin: float = 0.07) -> tuple[Vector, Vector]:
     """Lower left and upper right corner [m] of the holds, the obstacles and `points`, with `margin` [m] around."""
     clouds = [wall.positions[:, :2]]
-    clouds += [np.asarray(o.bounds, dtype=float).reshape(2, 2) for o in wall.obstacles]
+    clouds += [np.asarray(o.bounds, dtype=float).reshape(2, 2) for o in seen_obstacles(wall)]
     clouds += [np.asarray(p, dtype=float).reshape(-1, np.shape(p)[-1])[:, :2] for p in points]
     cloud = np.vstack(clouds)
     return cloud.min(axis=0) - margin, cloud.max(axis=0) + margin
+
+
+def seen_obstacles(wall: Wall) -> list[BaseGeometry]:
+    """What obstacles cover of the wall plane, those in space as seen from the climber's side."""
+    return [*wall.obstacles, *(solid.outline() for solid in wall.solids)]
 
 
 def fit(lower: Vector, upper: Vector, left: float, top: float, width: float, height: float) -> View:
@@ -111,8 +117,15 @@ def paint_hold_shape(canvas: Canvas, view: View, hold: Hold, tangent: Vector) ->
 
 
 def paint_wall(canvas: Canvas, view: View, wall: Wall) -> None:
-    """Obstacles and holds, without their numbers."""
-    paint_obstacles(canvas, view, wall.obstacles)
+    """Obstacles, the edges of facets, and holds without their numbers."""
+    for facet in wall.facets:
+        around = LineString(np.array([*facet.corners, facet.corners[0]])[:, :2]).intersection(
+            box(*view.lower, *view.upper)
+        )
+        for edge in getattr(around, "geoms", [around]):
+            if edge.geom_type == "LineString" and not edge.is_empty:
+                canvas.line(view(np.asarray(edge.coords)), FAINT, 0.8)
+    paint_obstacles(canvas, view, seen_obstacles(wall))
     for number, hold in enumerate(wall.holds):
         with canvas.group(f"hold {number}: {hold.grip}, friction {hold.friction:g}"):
             paint_hold_shape(canvas, view, hold, wall.tangents[number])

@@ -9,7 +9,8 @@ import numpy as np
 
 from climber.exceptions import PlanFileError
 from climber.plan_file import Phase, RobotPlan
-from climber.programs.forces import ContactForces, wall_forces, weight_in_plane
+from climber.programs.forces import wall_forces, weight_in_plane
+from climber.programs.regions import support_regions
 from climber.programs.support import support_intervals
 from climber.robot import Robot
 from climber.silhouette import Outline, Silhouette
@@ -41,6 +42,9 @@ class Replay:
         looks: What it looks like.
         weight: Its weight [N], along the wall unless the wall is a floor.
         support: Support interval of the limbs in contact during each phase [m], NaN where empty, shape (num_phases, 2).
+            In space it is how far the support polygon extends along x.
+        polygons: In space, the corners in order of each phase's support polygon, at any height, in W [m], shape (n, 3);
+            n is 0 where it is empty. None in the plane.
         start: Time at which the climb begins [s].
         end: Time at which it ends [s].
     """
@@ -65,15 +69,25 @@ class Replay:
         self._columns = [plan.positions.index(name) for name in robot.position_names]
         along = weight_in_plane(wall, robot.mass)
         self.weight = along or robot.mass * GRAVITY
-        forces = wall_forces(wall)
-        self.support = np.vstack([self._interval(phase, forces, along) for phase in plan.phases])
+        self._forces = wall_forces(wall, robot.dimension)
+        regions = [self._region(wall, phase) for phase in plan.phases]
+        self.support = np.array([ends for ends, _ in regions])
+        self.polygons = None if robot.planar else tuple(polygon for _, polygon in regions)
         self._begins = np.array([phase.time[0] for phase in plan.phases])
         self.start, self.end = float(plan.phases[0].time[0]), float(plan.phases[-1].time[-1])
 
-    def _interval(self, phase: Phase, forces: ContactForces, weight: float) -> Vector:
+    def _region(self, wall: Wall, phase: Phase) -> tuple[Vector, Vector]:
+        """The extent along x of where a phase's contacts support the centre of mass; in space, its corners as well."""
         holds = np.array([[contact.hold for contact in phase.contacts]], dtype=int)
-        points = np.array([[contact.point for contact in phase.contacts]], dtype=float)
-        return support_intervals(points, forces[holds], weight)
+        points = np.array([[contact.point for contact in phase.contacts]], dtype=float).reshape(1, -1, 3)
+        if self.robot.planar:
+            ends: Vector = support_intervals(points, self._forces[holds], weight_in_plane(wall, self.robot.mass))[0]
+            return ends, np.zeros((0, 3))
+        region = support_regions(points, self._forces[holds], self.robot.mass * wall.gravity)
+        if region.empty[0]:
+            return np.full(2, np.nan), np.zeros((0, 3))
+        corners = region.corners[0] @ region.basis
+        return np.array([corners[:, 0].min(), corners[:, 0].max()]), corners
 
     def at(self, time: float) -> Moment:
         """The robot at `time` [s], samples interpolated linearly; before and after the climb it stands still."""
