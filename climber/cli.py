@@ -20,6 +20,7 @@ from rich.table import Column, Table
 from climber.exceptions import ClimberError, NoPlanFound
 
 OK, NO, BAD_INPUT = 0, 1, 2
+OBJECTIVES = ("length", "time", "margin")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,6 +68,10 @@ def _parser() -> argparse.ArgumentParser:
     solve.add_argument("--out", type=Path, required=True, help="folder for plan.json and the pictures")
     solve.add_argument("--seed", type=_natural, help="instead of the scenario's")
     solve.add_argument("--time-limit", type=_positive, metavar="S", help="instead of the scenario's [s]")
+    solve.add_argument("--objective", choices=OBJECTIVES, help="what is to be little, instead of the scenario's")
+    solve.add_argument(
+        "--improve", type=_seconds, metavar="S", help="time for improving the climb once there is one [s]; 0 by default"
+    )
     solve.add_argument("--no-pictures", action="store_true", help="write plan.json only")
     solve.set_defaults(run=_solve)
 
@@ -107,6 +112,13 @@ def _positive(text: str) -> float:
     return number
 
 
+def _seconds(text: str) -> float:
+    number = float(text)
+    if not 0.0 <= number < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text}: a number of seconds, 0 or greater")
+    return number
+
+
 def _solve(options: argparse.Namespace) -> int:
     from climber.plan import plan_climb
     from climber.scenario import load_scenario
@@ -121,7 +133,14 @@ def _solve(options: argparse.Namespace) -> int:
             console.print(f"  {message}", style="dim", markup=False)
             status.update(f"planning {scenario.name} ...")
 
-        plan = plan_climb(scenario, seed=options.seed, time_limit=options.time_limit, report=report)
+        plan = plan_climb(
+            scenario,
+            seed=options.seed,
+            time_limit=options.time_limit,
+            objective=options.objective,
+            improve=options.improve,
+            report=report,
+        )
         written = [options.out / "plan.json"]
         plan.save(written[0])
         if not options.no_pictures:
@@ -140,7 +159,16 @@ def _solve(options: argparse.Namespace) -> int:
             "cuts": cuts,
             "proofs": robots[0].proofs,
             "counts": robots[0].counts,
-            "robots": [{"name": robot.name, "moves": robot.moves, "cost": robot.cost} for robot in robots],
+            "robots": [
+                {
+                    "name": robot.name,
+                    "moves": robot.moves,
+                    "cost": robot.cost,
+                    "objective": None if robot.objective is None else vars(robot.objective),
+                    "record": robot.record,
+                }
+                for robot in robots
+            ],
             "timings": plan.timings,
             "seconds": round(seconds, 2),
             "files": [str(path) for path in written],
@@ -154,6 +182,10 @@ def _solve(options: argparse.Namespace) -> int:
     for robot in robots:
         if len(robots) > 1:
             console.print(f"  {robot.name}: {robot.moves} moves of cost {robot.cost:g}", markup=False)
+        if robot.objective is not None:
+            (_, first), (_, last) = robot.record[0], robot.record[-1]
+            better = f", improved from {first:.4g}" if len(robot.record) > 1 else ""
+            console.print(f"  {robot.objective.kind} {last:.4g}{better}", markup=False)
         for limbs in _told(robot.stances):
             console.print(f"  {limbs}", style="dim", markup=False)
     console.print(f"wrote {', '.join(str(path) for path in written)}")

@@ -19,11 +19,12 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from climber.choose import Candidates, Layer
-from climber.objective import Objective, ObjectiveKind
+from climber.objective import Objective
 from climber.path import clear, unwound
 from climber.phase_motion import MotionBudget
 from climber.phases import Curves, PhasePlanner, Purpose, Stretch, Way, instants
 from climber.pieces import Choice, in_component
+from climber.plan_file import ObjectiveKind
 from climber.stance import Contact, Move, Vector
 from climber.transition import Postures
 from climber.transitions import MoveFailure, TransitionFinder

@@ -19,16 +19,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
 from climber.curve import joint_length
 from climber.manifold import Body, Manifold
 from climber.phase_motion import PhaseMotion
+from climber.plan_file import ObjectiveKind
 from climber.stance import Vector
+from climber.transition import support_of
 
-ObjectiveKind = Literal["length", "time", "margin"]
 KINDS: tuple[ObjectiveKind, ...] = get_args(ObjectiveKind)
 FLIP = 4.0  # what an elbow flip counts as, in joint-space length [rad]
 PELVIS = 1.0  # [m/s, rad/s] rate at which the pelvis's own positions are taken to change at most
@@ -113,35 +114,32 @@ class Objective:
         result: Vector = -self.centring * np.log(np.maximum(rows, LEAST)).sum(axis=1)
         return result
 
-    def value(self, body: Body, phases: Sequence[PhaseMotion], manifolds: Sequence[Manifold]) -> float:
-        """The value of a climb, from its samples.
-
-        Args:
-            body: The robot.
-            phases: The climb.
-            manifolds: Of each phase's contacts.
-        """
+    def value(self, body: Body, phases: Sequence[PhaseMotion]) -> float:
+        """The value of a climb, from its samples."""
         if self.kind == "length":
             return sum(joint_length(phase.samples.q) for phase in phases)
         if self.kind == "time":
             return float(sum(phase.samples.time[-1] - phase.samples.time[0] for phase in phases))
-        return -least_slack(body, phases, manifolds)
+        return -least_slack(body, phases)
 
 
-def least_slack(body: Body, phases: Sequence[PhaseMotion], manifolds: Sequence[Manifold]) -> float:
+def least_slack(body: Body, phases: Sequence[PhaseMotion]) -> float:
     """The least slack of a climb: of equilibrium, over a limb's mean reach, and of torque, as a share of its limit.
 
     At the ends of a phase the centre of mass is in the support of the neighbouring phase too.
     """
     reach = float(body.robot.reach.mean())
+    supports = {phase.contacts: support_of(body, phase.contacts) for phase in phases}
     driven = body.robot.effort > 0.0
     slack = 1.0
-    for i, (phase, manifold) in enumerate(zip(phases, manifolds, strict=True)):
-        q = phase.samples.q
-        over = [(manifold, q)]
-        over += [(manifolds[j], q[[row]]) for j, row in ((i - 1, 0), (i + 1, -1)) if 0 <= j < len(phases)]
-        for own, at in over:
-            slack = min(slack, float(own.balance(at).min(initial=np.inf)) / reach)
+    for i, phase in enumerate(phases):
+        center = body.kinematics.center_of_mass(phase.samples.q)
+        over = [(phase, center)]
+        over += [(phases[j], center[[row]]) for j, row in ((i - 1, 0), (i + 1, -1)) if 0 <= j < len(phases)]
+        for holding, at in over:
+            support = supports[holding.contacts]
+            room = -np.inf if support is None else float(support.room(at).min())
+            slack = min(slack, room / reach)
         used = np.abs(phase.torque[:, driven]) / body.robot.effort[driven]
         slack = min(slack, float((1.0 - used).min(initial=np.inf)))
     return slack

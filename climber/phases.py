@@ -125,10 +125,6 @@ class PhasePlanner:
         self.body, self.objective = body, objective
         self.timing = 0.0
 
-    def value(self, motions: Sequence[PhaseMotion], stretches: Sequence[Stretch]) -> float:
-        """The objective's value of phases."""
-        return self.objective.value(self.body, motions, [stretch.manifold for stretch in stretches])
-
     def drawn_together(self, instants: Sequence[Instant], stretches: Sequence[Stretch]) -> list[Vector]:
         """Postures that cost no more than those given, each of which motors can hold on the contacts of both sides."""
         chain = PostureChain(instants, self.objective)

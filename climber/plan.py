@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
 from typing import cast
@@ -24,13 +24,24 @@ from shapely.geometry.base import BaseGeometry
 
 from climber.exceptions import NoPlanFound
 from climber.graph import StanceGraph, build_stance_graph
+from climber.improve import Improver, Progress
 from climber.lessons import Lessons, OnFailure
 from climber.manifold import Body
 from climber.margins import phase_margins
 from climber.motion import DeadEnd, EmptyPiece, MotionPlanner, Regions
 from climber.phase_motion import MotionBudget, PhaseMotion
 from climber.phases import Way
-from climber.plan_file import Cut, MarginKind, Phase, PhaseContact, PhaseMargin, Plan, RobotPlan
+from climber.plan_file import (
+    Achieved,
+    Cut,
+    MarginKind,
+    ObjectiveKind,
+    Phase,
+    PhaseContact,
+    PhaseMargin,
+    Plan,
+    RobotPlan,
+)
 from climber.prune import impossible_moves
 from climber.regrasp import rigid, with_regrasps
 from climber.robot import Model, Robot
@@ -51,6 +62,8 @@ def plan_climb(
     *,
     seed: int | None = None,
     time_limit: float | None = None,
+    objective: ObjectiveKind | None = None,
+    improve: float | None = None,
     report: Report = lambda message: None,
 ) -> Plan:
     """Plans the climb that a scenario asks for.
@@ -59,6 +72,8 @@ def plan_climb(
         scenario: The scenario, see `climber.load_scenario`.
         seed: Replaces the scenario's seed.
         time_limit: Replaces the scenario's time limit [s].
+        objective: Replaces the scenario's objective.
+        improve: Replaces the scenario's time for improving a climb once there is one [s].
         report: Called with a sentence whenever there is something to tell.
 
     Returns:
@@ -71,6 +86,10 @@ def plan_climb(
     """
     seed = scenario.seed if seed is None else seed
     limit = scenario.budget.time_limit_s if time_limit is None else time_limit
+    if objective is not None:
+        scenario = replace(scenario, objective=objective)
+    if improve is not None:
+        scenario = replace(scenario, budget=replace(scenario.budget, improve_s=improve))
     if len(scenario.robots) > 1:
         from climber.team_plan import plan_team  # which is built on what is here
 
@@ -121,7 +140,7 @@ class ClimbSearch:
 
     def __post_init__(self) -> None:
         self.began = clock.perf_counter()
-        self.times = {"graph": 0.0, "task": 0.0}
+        self.times = {"graph": 0.0, "task": 0.0, "improve": 0.0}
         scenario = self.scenario
         self.spec = scenario.robots[self.index]
         wall = scenario.build_wall()
@@ -134,7 +153,9 @@ class ClimbSearch:
         check_against_robot(scenario, self.index, self.robot.limb_names, self.robot.joint_limits, self.robot.planar)
         self.body = Body(self.robot, wall)
         self.finder = TransitionFinder(self.body, np.random.default_rng(self.seed), Effort.of(scenario.budget))
-        self.planner = MotionPlanner(self.finder, MotionBudget.of(scenario.budget))
+        objective = cast(ObjectiveKind, scenario.objective)
+        self.planner = MotionPlanner(self.finder, MotionBudget.of(scenario.budget), objective)
+        self.progress = Progress()
         self.stance = Stance(tuple(self.spec.start[name] for name in self.robot.limb_names))
         self.start = start_postures(scenario, self.index, self.finder, self.stance)
 
@@ -213,9 +234,24 @@ class ClimbSearch:
             free = not self.spec.start_posture
             outcome = self.planner.plan(self.start, moves, self.regions(walk), pieces, free)
             if isinstance(outcome, Way):
-                return self.robot_plan(proposal, walk, moves, outcome.chained())
+                return self.robot_plan(proposal, walk, moves, self.improved(outcome).chained())
             self.learn(lessons, walk, moves, outcome)
         raise self._none("the task planner was asked as often as the budget allows", proved=False)
+
+    def improved(self, way: Way, share: float = 1.0) -> Way:
+        """The climb after as many rounds of improvement, and as much time, as the budget allows.
+
+        Args:
+            way: The climb.
+            share: What is there for this robot, of the time.
+        """
+        began, timing = clock.perf_counter(), self.planner.phases.timing
+        improver = Improver(self.planner.phases, self.planner.budget, self.seed)
+        budget = self.scenario.budget
+        way, self.progress = improver.improve(way, self.began, budget.improve_rounds, share * budget.improve_s)
+        self.times["improve"] += clock.perf_counter() - began
+        self.planner.phases.timing = timing  # of the plan; what the improver timed is in its own time
+        return way
 
     def regions(self, walk: Walk) -> Regions:
         """Where the pelvis must come to rest, by how many moves are complete: waypoints, and at last the goal."""
@@ -306,6 +342,9 @@ class ClimbSearch:
     def robot_plan(self, proposal: TaskPlan, walk: Walk, moves: list[Move], motions: list[PhaseMotion]) -> RobotPlan:
         """The plan of this robot, as it goes into the file."""
         robot, limbs = self.robot, self.robot.limb_names
+        objective = self.planner.objective
+        value = objective.value(self.body, motions)
+        progress = self.progress.ending(clock.perf_counter() - self.began, value)
         stances = [self.stance, *(move.end for move in moves)]
         return RobotPlan(
             name=self.spec.name,
@@ -325,6 +364,8 @@ class ClimbSearch:
                 "cost": proposal.proofs.cost_proved,
                 "relative_to": "the stance graph less the cuts",
             },
+            objective=Achieved(objective.kind, value),
+            record=progress.entries,
         )
 
     def _phases(self, motions: list[PhaseMotion]) -> tuple[Phase, ...]:

@@ -23,6 +23,7 @@ VERSION = 2
 
 PhaseKind = Literal["shift", "swing"]
 TimingMethod = Literal["conic", "paced"]
+ObjectiveKind = Literal["length", "time", "margin"]
 CutKind = Literal["proved", "budget"]
 CutStage = Literal["transition", "motion", "torque"]
 RATES = ("speed", "acceleration", "jerk")
@@ -156,6 +157,19 @@ class Cut:
 
 
 @dataclass(frozen=True)
+class Achieved:
+    """What was to be little along a climb, and how little it is.
+
+    Attributes:
+        kind: length [rad, m], time [s] or margin.
+        value: Its value; see `docs/plan-format.md`.
+    """
+
+    kind: ObjectiveKind
+    value: float
+
+
+@dataclass(frozen=True)
 class RobotPlan:
     """What one robot does.
 
@@ -173,6 +187,8 @@ class RobotPlan:
         cuts: The moves given up on the way to this plan.
         counts: Size of the stance graph after each of its stages.
         proofs: What was proved about the plan, and relative to what.
+        objective: What the motion was chosen for, and the value that it has; None if for nothing in particular.
+        record: Seconds of planning and the best value by then, each less than the one before; the last is the plan's.
     """
 
     name: str
@@ -188,6 +204,8 @@ class RobotPlan:
     cuts: tuple[Cut, ...] = ()
     counts: dict[str, int] = field(default_factory=dict)
     proofs: dict[str, Fact] = field(default_factory=dict)
+    objective: Achieved | None = None
+    record: tuple[tuple[float, float], ...] = ()
 
     @property
     def duration(self) -> float:
@@ -292,6 +310,8 @@ def _robot_to_dict(robot: RobotPlan) -> dict[str, Any]:
         "moves": robot.moves,
         "cost": robot.cost,
         "proofs": robot.proofs,
+        "objective": None if robot.objective is None else vars(robot.objective),
+        "record": [list(entry) for entry in robot.record],
         "cuts": [vars(cut) for cut in robot.cuts],
         "stances": list(robot.stances),
         "phases": [_phase_to_dict(phase) for phase in robot.phases],
@@ -318,7 +338,8 @@ def _phase_to_dict(phase: Phase) -> dict[str, Any]:
 
 def _read_robot(node: Node) -> RobotPlan:
     names = ["limbs", "positions", "velocities", "joints"]
-    fields = node.fields(["name", "model", *names, "counts", "moves", "cost", "proofs", "cuts", "stances", "phases"])
+    found = ["counts", "moves", "cost", "proofs", "objective", "record", "cuts", "stances", "phases"]
+    fields = node.fields(["name", "model", *names, *found])
     limbs, positions, velocities, joints = (fields[name].names() for name in names)
     stances = fields["stances"].items(at_least=1)
     robot = RobotPlan(
@@ -335,9 +356,21 @@ def _read_robot(node: Node) -> RobotPlan:
         cuts=tuple(_read_cut(cut, limbs) for cut in fields["cuts"].items()),
         counts={name: count.integer(at_least=0) for name, count in fields["counts"].entries().items()},
         proofs={name: fact.scalar() for name, fact in fields["proofs"].entries().items()},
+        objective=None if fields["objective"].value is None else _read_objective(fields["objective"]),
+        record=tuple(_read_entry(entry) for entry in fields["record"].items()),
     )
     phases = tuple(_read_phase(phase, robot) for phase in fields["phases"].items(at_least=1))
     return RobotPlan(**{**vars(robot), "phases": phases})
+
+
+def _read_objective(node: Node) -> Achieved:
+    fields = node.fields(["kind", "value"])
+    return Achieved(fields["kind"].choice(get_args(ObjectiveKind)), fields["value"].number())
+
+
+def _read_entry(node: Node) -> tuple[float, float]:
+    seconds, value = node.array(2).tolist()
+    return seconds, value
 
 
 def _read_stance(node: Node, limbs: tuple[str, ...]) -> dict[str, int]:

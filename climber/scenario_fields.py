@@ -349,6 +349,8 @@ class Budget:
         postures: Candidate postures kept for each instant at which contacts change.
         path_attempts: Pairs of postures tried for one phase before its move is given up.
         path_iterations: Extensions of a path-search tree before a pair of postures is given up.
+        improve_rounds: How often a better motion is looked for once there is one; the same rounds find the same.
+        improve_s: Time for further rounds after those [s]; what they find depends on the machine.
         sample_rate_hz: Samples per second in the plan [1/s].
         longest_phase_s: A motion that its torques do not permit is slowed, but not beyond this duration [s].
     """
@@ -359,6 +361,8 @@ class Budget:
     postures: int = field(default=24, metadata=rule(at_least=1))
     path_attempts: int = field(default=12, metadata=rule(at_least=1))
     path_iterations: int = field(default=100, metadata=rule(at_least=1))
+    improve_rounds: int = field(default=0, metadata=rule(at_least=0))
+    improve_s: float = field(default=0.0, metadata=rule(at_least=0.0))
     sample_rate_hz: float = field(default=100.0, metadata=rule(at_least=100.0, at_most=10_000.0))
     longest_phase_s: float = field(default=30.0, metadata=rule(above=0.0))
 
@@ -375,6 +379,8 @@ class ScenarioFields:
         robots: The robots.
         cost: Weights of the costs.
         budget: What planning may spend.
+        objective: What is to be little along the climb, of those with the fewest moves at the least cost: "length" in
+            joint space, "time", or "margin", the nearness to falling and to the motors' limits.
         on_failure: What a motion that failed means to the task planner: "refine" bars its move from the piece of the
             stance's postures it was tried from, "cut" deletes the move, "penalise" makes it dearer.
     """
@@ -386,4 +392,5 @@ class ScenarioFields:
     robots: list[RobotSpec] = field(default_factory=list, metadata=rule(required=True, empty=False))
     cost: CostWeights = field(default_factory=CostWeights)
     budget: Budget = field(default_factory=Budget)
+    objective: str = field(default="length", metadata=rule(choices=("length", "time", "margin")))
     on_failure: str = field(default="refine", metadata=rule(choices=("refine", "cut", "penalise")))

@@ -18,6 +18,7 @@ from climber.verdict import Check, Ledger, Verdict
 from climber.verify_margins import MarginChecks
 from climber.verify_model import Tree
 from climber.verify_motion import MotionChecks
+from climber.verify_objective import ObjectiveChecks
 from climber.verify_rules import LENGTH, RULES
 from climber.verify_structure import StructureChecks
 from climber.verify_team import TeamChecks
@@ -60,6 +61,7 @@ def verify(plan: Plan | str | Path) -> Verdict:
         MotionChecks(robot, wall, spec, robot_plan, ledger).check()
         TimingChecks(robot, wall, robot_plan, ledger).check()
         MarginChecks(robot, wall, robot_plan, ledger).check()
+        ObjectiveChecks(robot, wall, robot_plan, ledger).check()
     if len(robots) > 1:
         TeamChecks(robots, read.robots, ledger).check()
     return Verdict(source, ledger.checks())

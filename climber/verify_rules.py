@@ -34,6 +34,7 @@ IN_USE = 0.7  # share of a limit
 AT_LIMIT = 0.1  # of the weight
 # A claim is made up to a millionth of it, and tried by a solver; both are far less than what these forces are known by.
 MARGIN = 1e-4  # [N, N m]
+VALUE = 1e-5  # [m, rad, s] sums of thousands of numbers, and supports from another program
 MODEL = 1e-8  # [m, N, N m] verify's own mechanics against Drake's
 
 RULES: Final[dict[str, Rule]] = {
@@ -78,5 +79,7 @@ RULES: Final[dict[str, Rule]] = {
         "errors of each kind are survived as claimed (force or torque lacking)", "at most", MARGIN, "N, N m"
     ),
     "worst instants": Rule("greater errors are not survived where the plan says so", "at most", 0, "faults"),
+    "objective": Rule("the objective's value is that of the phases", "at most", VALUE, "m, rad, s"),
+    "record": Rule("values on record go down to the plan's", "at most", 0, "faults"),
     "mechanics": Rule("verify's own mechanics agree with Drake's at samples", "at most", MODEL, "m, N, N m"),
 }

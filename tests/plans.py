@@ -21,7 +21,7 @@ import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable, MultibodyForces
 
 from climber.margins import phase_margins
-from climber.plan_file import Cut, Phase, PhaseContact, Plan, RobotPlan
+from climber.plan_file import Achieved, Cut, Phase, PhaseContact, Plan, RobotPlan
 from climber.robot import Model, Robot
 from climber.scenario import scenario_from_text
 from climber.stance import Contact, Vector
@@ -254,6 +254,11 @@ class Climber:
         )
 
 
+def length(phases: Sequence[Phase]) -> float:
+    """Of the polylines through the samples, over all positions."""
+    return sum(float(np.linalg.norm(b - a)) for phase in phases for a, b in pairwise(phase.q))
+
+
 def _plan(text: str, robot: Robot, stances: Sequence[Sequence[int]], phases: Sequence[Phase]) -> Plan:
     named = tuple(dict(zip(LIMBS, stance, strict=True)) for stance in stances)
     robot_plan = RobotPlan(
@@ -270,6 +275,8 @@ def _plan(text: str, robot: Robot, stances: Sequence[Sequence[int]], phases: Seq
         cuts=(Cut(named[0], LIMBS[1], 5, "out of reach", "proved", "transition"),),
         counts={"stances": 2, "moves": 1},
         proofs={"moves": True, "cost": True, "relative_to": "the stance graph less the cuts listed"},
+        objective=Achieved("length", length(phases)),
+        record=((0.5, length(phases) + 1.0), (1.25, length(phases))),
     )
     return with_margins(Plan("scenarios/small.yaml", text, 7, (robot_plan,), {"climber": "0.1.0"}, {"total": 1.5}))
 

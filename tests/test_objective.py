@@ -65,14 +65,14 @@ def test_length_is_that_of_all_eleven_positions_of_the_quadruped() -> None:
         assert motion.samples.q.shape[1] == 11
         for before, after in zip(motion.samples.q[:-1], motion.samples.q[1:], strict=True):
             total += float(np.sqrt(((after - before) ** 2).sum()))
-    assert planner.phases.value(way.motions, way.stretches) == pytest.approx(total, abs=1e-9)
+    assert planner.objective.value(planner.body, way.motions) == pytest.approx(total, abs=1e-9)
 
 
 def test_time_is_the_duration_of_the_climb() -> None:
     planner, way = beginning()
     objective = Objective.of("time", planner.body)
     chained = way.chained()
-    value = objective.value(planner.body, chained, [stretch.manifold for stretch in way.stretches])
+    value = objective.value(planner.body, chained)
     assert value == pytest.approx(chained[-1].samples.time[-1], abs=1e-9)
 
 
@@ -102,7 +102,7 @@ def test_margin_is_the_least_slack_by_the_reference_programs() -> None:
                 at = {-1: center[:1], 0: center, 1: center[-1:]}[j - i]
                 slack.append(min(program.margin(float(x)) for x in at) / float(body.robot.reach.mean()))
         slack.append(float((1 - np.abs(motion.torque) / body.robot.effort).min()))
-    value = objective.value(body, way.motions, [stretch.manifold for stretch in way.stretches])
+    value = objective.value(body, way.motions)
     assert value == pytest.approx(-min(slack), abs=1e-6)
 
 

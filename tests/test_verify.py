@@ -21,6 +21,7 @@ from plans import (
     Ground,
     edge_plan,
     edited,
+    length,
     retold,
     step_plan,
     still_plan,
@@ -32,10 +33,12 @@ import climber.verdict
 from climber.encounter import Pair, Track
 from climber.exceptions import ModelError, PlanFileError
 from climber.manifold import Body
-from climber.plan_file import Plan
+from climber.plan_file import Achieved, Plan
+from climber.programs.equilibrium import SupportProgram
 from climber.resources import resolve_model
 from climber.robot import Model, Robot
 from climber.scenario import scenario_from_text
+from climber.stance import Contact
 from climber.verdict import Ledger
 from climber.verify import verify
 from climber.verify_rules import RULES
@@ -161,6 +164,12 @@ EXACTLY = [
     ("moments", with_a_moment_written_down, f"{PHASE}/1/moment/left_rear/40", 5e-6),
     ("free limbs", with_a_free_limb_written_down, f"{PHASE}/1/force/right_front/40/1", 5e-5),
     ("dynamics at samples", step_plan, f"{PHASE}/1/torque/40/2", plus(0.01)),
+    ("objective", step_plan, "robots/0/objective/kind", "time"),
+    ("record", step_plan, "robots/0/record/0/1", 0.0),
+    ("record", step_plan, "robots/0/record/0/0", 2.0),
+    ("record", step_plan, "robots/0/record/0/0", -1.0),
+    ("record", step_plan, "robots/0/record", []),
+    ("record", step_plan, "robots/0/objective", None),
     ("dynamics at samples", step_plan, f"{PHASE}/1/force/left_front/40/0", plus(0.01)),
     ("margins", edge_plan, f"{PHASE}/0/margins/friction/value", plus(0.01)),
     ("margins", step_plan, f"{PHASE}/1/margins/push/value", plus(0.4)),
@@ -285,6 +294,38 @@ def test_every_check_is_tripped_by_a_test_here() -> None:
     own = {"mechanics", "clock", "holds of one", "robot clearance"}  # these have tests of their own
     own |= {name for name in RULES if name.split()[0] in ("timing", "active")}
     assert set(RULES) - tripped == own
+
+
+@pytest.mark.parametrize("kind", ["length", "time", "margin"])
+def test_a_value_that_is_not_that_of_the_phases_is_found(kind: str) -> None:
+    """Also one that is a little better, with the record gone along."""
+    value = {"length": length(step_plan().robots[0].phases), "time": 2.4, "margin": -margin()}[kind]
+    robot = replace(step_plan().robots[0], objective=Achieved(kind, value), record=((1.0, value),))
+    assert verify(replace(step_plan(), robots=(robot,))).ok
+    better = replace(robot, objective=Achieved(kind, value - 2e-5), record=((1.0, value - 2e-5),))
+    assert failing(replace(step_plan(), robots=(better,)).to_json()) == {"objective"}
+
+
+def margin() -> float:
+    """The least slack of the step, by the planner's own forces and Drake's centre of mass."""
+    robot, wall = Robot(Model.load(QUADRUPED)), scenario_from_text(step_plan().scenario_text).build_wall()
+    context, slack = robot.context(), [1.0]
+    phases = step_plan().robots[0].phases
+    supports = []
+    for phase in phases:
+        contacts = [Contact(robot.limb_names.index(contact.limb), contact.hold) for contact in phase.contacts]
+        offsets = [float((c.point - wall.positions[c.hold]) @ wall.tangents[c.hold]) for c in phase.contacts]
+        contacts = [replace(contact, offset=offset) for contact, offset in zip(contacts, offsets, strict=True)]
+        supports.append(SupportProgram.of_contacts(wall, contacts, robot.mass))
+    for number, phase in enumerate(phases):
+        slack.append(float((1 - np.abs(phase.torque) / robot.effort).min()))
+        for row, q in enumerate(phase.q):
+            robot.plant.SetPositions(context, q)
+            x = float(robot.plant.CalcCenterOfMassPositionInWorld(context)[0])
+            ends = {0: number - 1, len(phase.q) - 1: number + 1}
+            over = [supports[k] for k in {number, ends.get(row, number)} if 0 <= k < len(phases)]
+            slack += [support.margin(x) / float(robot.reach.mean()) for support in over]
+    return min(slack)
 
 
 def test_samples_that_are_too_far_apart_are_found() -> None:
