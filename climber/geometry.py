@@ -40,6 +40,15 @@ def triangle_fits(a: Vector, b: Vector, c: Vector, radius: float) -> Mask:
     return result
 
 
+def enclosing_squared(a: Vector, b: Vector, c: Vector) -> Vector:
+    """Squared radii of the smallest circles around triangles with sides of these squared lengths [m^2]."""
+    longest = np.maximum(np.maximum(a, b), c)
+    obtuse = a + b + c <= 2.0 * longest
+    four_areas_squared = np.where(obtuse, 1.0, 4.0 * a * b - (a + b - c) ** 2)
+    result: Vector = np.where(obtuse, longest / 4.0, a * b * c / four_areas_squared)
+    return result
+
+
 def disks_meet(centers: Vector, radii: Vector) -> Mask:
     """Whether the disks of each set have a point in common.
 

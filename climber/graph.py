@@ -1,8 +1,9 @@
 """The stance graph: every way to stand on the wall that the relaxed checks allow, and every move between two of them.
 
-Gönen 2021, section 4.2, without its permutations. A stance is kept if the disks around its holds overlap (4.2) and its
-feet are in limb order around a strictly convex polygon (4.6); a move, if all disks of both its stances overlap (4.7)
-and the centre of mass can be over the holds that stay and over the holds of the stance it ends in at once (4.17).
+Gönen 2021, section 4.2, without its permutations. A stance is kept if the balls around its holds overlap (4.2) and its
+feet are in limb order around a strictly convex polygon (4.6); a move, if all balls of both its stances overlap (4.7)
+and the centre of mass can be over the holds that stay and over the holds of the stance it ends in at once (4.17). In
+the wall plane balls are disks; in space feet are in order as they are seen by who faces the wall (`Wall.projected`).
 
 These checks do not change when equal limbs all step round by one place, so they are made once for each *pose*, a stance
 up to such rotations (`climber.poses`, `climber.moves`). What a leg can really do does change, so the vertices of the
@@ -18,17 +19,17 @@ from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order
-from shapely.geometry.base import BaseGeometry
 
+from climber.balls import balls_meet, balls_meet_region
 from climber.exceptions import ClimberError
-from climber.geometry import TOUCH, Mask, disks_meet, disks_meet_region
+from climber.geometry import TOUCH, Mask
 from climber.holdsets import Ints, Places, Releases
-from climber.moves import Moves, Supports, Weights, find_moves
+from climber.moves import Moves, Setting, Supports, Weights, find_moves, intervals
 from climber.poses import Rotations, find_poses, start_component
+from climber.solids import Region, away
 from climber.stance import Stance, Vector
 from climber.wall import Wall
 
@@ -47,6 +48,10 @@ class GraphRobot(Protocol):
     @property
     def mass(self) -> float:
         """Total mass [kg]."""
+
+    @property
+    def dimension(self) -> int:
+        """2 for a robot that stays in the wall plane, 3 for one in space."""
 
 
 class PoseGraph(NamedTuple):
@@ -82,7 +87,8 @@ class StanceGraph:
         cost: Rounded weighted cost (4.22), shape (E,).
         support_index: Row of `supports` that says what stays on the wall, shape (E,).
         start: Vertex of the start stance.
-        stance_support: Interval of the centre of mass with all limbs on, SR2 of eq. 4.17 [m], shape (V, 2).
+        stance_support: Interval of the centre of mass of a planar robot with all limbs on, SR2 of eq. 4.17 [m], shape
+            (V, 2). In space none is asked for, and there is none.
         supports: What stays on the wall during moves.
         counts: How many candidates each stage left, as `build_stance_graph` lists them.
     """
@@ -99,7 +105,7 @@ class StanceGraph:
     counts: dict[str, int]
     _rotations: Rotations = field(repr=False)
     _reach: Vector = field(repr=False)  # (n,)
-    _positions: Vector = field(repr=False)  # (H, 2)
+    _positions: Vector = field(repr=False)  # (H, 3), or (H, 2) in the wall plane
     _poses: Ints = field(repr=False)
     _moves: Moves = field(repr=False)
 
@@ -143,17 +149,17 @@ class StanceGraph:
 
     @cached_property
     def stability_cost(self) -> Vector:
-        """One over the width of the support interval of the limbs that stay [1/m] (4.20), shape (E,)."""
+        """One over the width of the support of the limbs that stay [1/m] (4.20), shape (E,)."""
         return self.supports.stability_costs[self.support_index]
 
     @cached_property
     def robustness_cost(self) -> Vector:
-        """One over the area of the body workspace of the limbs that stay [1/m^2] (4.21), shape (E,)."""
+        """One over the area, or volume, of the body workspace of the limbs that stay [1/m^2, 1/m^3] (4.21), (E,)."""
         return self.supports.robustness_costs[self.support_index]
 
     @cached_property
     def support(self) -> Vector:
-        """Interval of the centre of mass on the limbs that stay, SR1 of eq. 4.17 [m], shape (E, 2)."""
+        """Interval of a planar robot's centre of mass on the limbs that stay, SR1 of eq. 4.17 [m], shape (E, 2)."""
         return self.supports.intervals[self.support_index]
 
     def images(self, stance: Stance) -> list[Stance]:
@@ -212,14 +218,14 @@ class StanceGraph:
         self,
         holds: Iterable[int] | None = None,
         stance: Stance | None = None,
-        region: BaseGeometry | None = None,
+        region: Region | None = None,
     ) -> Ints:
         """The vertices that meet all the given conditions.
 
         Args:
             holds: The set of holds stood on, by whichever limbs.
             stance: The stance, up to the robot's symmetries.
-            region: Where in the wall plane [m] the pelvis's origin can be, as far as reach allows.
+            region: Where [m] the pelvis's origin can be, as far as reach allows; see `balls_meet_region`.
 
         Returns:
             Increasing vertex numbers, possibly none.
@@ -231,11 +237,10 @@ class StanceGraph:
             images = np.array([image.holds for image in self.images(stance)])
             meets &= (self.stances[:, None] == images).all(axis=-1).any(axis=1)
         if region is not None:
-            shapely.prepare(region)
-            away = shapely.distance(region, shapely.points(self._positions))  # (H,)
-            meets &= (away[self.stances] <= self._reach + TOUCH).all(axis=1)
+            distances = away(region, self._positions)  # (H,)
+            meets &= (distances[self.stances] <= self._reach + TOUCH).all(axis=1)
             (near,) = np.nonzero(meets)
-            meets[near] = disks_meet_region(self._positions[self.stances[near]], self._reach, region)
+            meets[near] = balls_meet_region(self._positions[self.stances[near]], self._reach, region)
         return np.flatnonzero(meets).astype(np.int32)
 
     def pose_graph(self) -> PoseGraph:
@@ -249,7 +254,14 @@ class StanceGraph:
         return PoseGraph(poses[order], number[self._moves.tail], number[self._moves.head], self._moves.cost)
 
 
-def build_stance_graph(wall: Wall, robot: GraphRobot, start: Stance, weights: Weights) -> StanceGraph:
+def build_stance_graph(
+    wall: Wall,
+    robot: GraphRobot,
+    start: Stance,
+    weights: Weights,
+    avoid: Sequence[int] = (),
+    through_space: bool = False,
+) -> StanceGraph:
     """Builds the graph of all that can be reached from a stance.
 
     `counts` of the result, in the thesis's terms: ordered `tuples` of holds; of them `valid` (disks overlap) and
@@ -263,22 +275,29 @@ def build_stance_graph(wall: Wall, robot: GraphRobot, start: Stance, weights: We
         robot: Limbs in counter-clockwise order, their reach, the robot's mass and symmetries.
         start: The stance to start from.
         weights: Of the costs.
+        avoid: Holds that are not stood on.
+        through_space: Take a planar robot's wall as one in space, too. It makes no difference but to the time taken.
 
     Raises:
         ValueError: If `start` is not one hold of the wall for each limb, or a symmetry is not a rotation of the limbs.
         ClimberError: If `start` itself fails a relaxed check.
     """
-    reach, positions = np.asarray(robot.reach, dtype=float), np.ascontiguousarray(wall.positions[:, :2])
+    reach, space = np.asarray(robot.reach, dtype=float), through_space or robot.dimension == 3
+    positions = np.ascontiguousarray(wall.positions if space else wall.positions[:, :2])
+    setting = Setting(wall, reach, robot.mass, robot.dimension, positions)
     rotations = Rotations.of(reach, robot.symmetries)
     counts: dict[str, int] = {}
-    poses = find_poses(positions, reach, rotations, counts)
+    usable = np.setdiff1d(np.arange(len(positions), dtype=np.int32), np.array(avoid, dtype=np.int32))
+
+    def projected(sets: Ints) -> Vector:
+        return wall.projected(usable[sets])
+
+    poses = usable[find_poses(positions[usable], reach, rotations, counts, projected if space else None)]
     start_pose, start_lift = _find_start(start, poses, positions, reach, rotations)
     releases = Releases.of(poses, rotations.period)
     start_state = start_pose * rotations.copies + start_lift
     reached, releases = start_component(releases, len(poses), rotations, start_state, counts)
-    moves, supports, intervals = find_moves(
-        wall, reach, robot.mass, weights, rotations, poses, reached, releases, counts
-    )
+    moves, supports, extents = find_moves(setting, weights, rotations, poses, reached, releases, counts)
     ends = np.zeros(len(poses), dtype=bool)
     ends[moves.tail] = ends[moves.head] = True
     counts["graph_nodes"], counts["graph_edges_undirected"] = int(ends.sum()), counts["stable_pairs"]
@@ -298,7 +317,7 @@ def build_stance_graph(wall: Wall, robot: GraphRobot, start: Stance, weights: We
         cost=moves.cost[source],
         support_index=moves.support[source],
         start=int(number[start_vertex]),
-        stance_support=intervals[pose],
+        stance_support=intervals(extents[pose]) if robot.dimension == 2 else np.zeros((0, 2)),
         supports=supports,
         counts=counts,
         _rotations=rotations,
@@ -321,7 +340,7 @@ def _find_start(start: Stance, poses: Ints, positions: Vector, reach: Vector, ro
         (found,) = np.nonzero((poses == np.roll(holds, lift * rotations.period)).all(axis=1))
         if len(found):
             return int(found[0]), lift
-    if not disks_meet(positions[holds][None], reach)[0]:
+    if not balls_meet(positions[holds][None], reach)[0]:
         reason = f"no place of the pelvis is within reach, {reach.tolist()} m, of all its holds"
     else:
         reason = "its feet are not in limb order, counter-clockwise, around a strictly convex polygon"

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from climber.balls import is_flat, quads_fit
 from climber.geometry import TOUCH, triangle_fits
 from climber.stance import Vector
 
@@ -22,15 +24,16 @@ CHUNK = 1 << 17  # candidate sets looked at together: a few arrays of these stay
 
 
 def reachable_sets(positions: Vector, size: int, reach: float) -> Ints:
-    """All sets of `size` holds whose disks of radius `reach` have a common point (Gönen 2021, eq. 4.2).
+    """All sets of `size` holds whose balls of radius `reach` have a common point (Gönen 2021, eq. 4.2).
 
     Pairs come from a KD-tree. A set of m + 1 holds joins two of m that differ in their last hold; of its triples only
-    those with both last holds are new, and by Helly's theorem triples decide.
+    those with both last holds are new, and by Helly's theorem triples decide in a plane. In space its fours with both
+    last holds are looked at as well.
 
     Args:
-        positions: Holds in the wall plane [m], shape (H, 2).
+        positions: Holds [m], shape (H, 3), or (H, 2) in the wall plane.
         size: Number of holds in a set, at least 1.
-        reach: Radius of the disks [m].
+        reach: Radius of the balls [m].
 
     Returns:
         Sets as increasing hold numbers, in lexicographic order, shape (M, size).
@@ -41,6 +44,7 @@ def reachable_sets(positions: Vector, size: int, reach: float) -> Ints:
     sets: Ints = np.sort(pairs, axis=1).astype(np.int32)
     sets = sets[np.lexsort((sets[:, 1], sets[:, 0]))]
     squares = squared_distance(positions, sets[:, 0], sets[:, 1])[:, None]  # from the last hold to the others
+    flat = is_flat(positions)
     prefix: Ints = sets[:, 0]  # sets with the same number share all but their last hold
     while sets.shape[1] < size:
         found = []
@@ -49,6 +53,11 @@ def reachable_sets(positions: Vector, size: int, reach: float) -> Ints:
             fits = apart <= 4.0 * (reach + TOUCH) ** 2
             for to_a, to_b in zip(squares[a].T, squares[b].T, strict=True):
                 fits &= triangle_fits(to_a, to_b, apart, reach)
+            if not flat:
+                for i, j in combinations(range(sets.shape[1] - 1), 2):
+                    rows = np.flatnonzero(fits)
+                    four = sets[a[rows], i], sets[a[rows], j], sets[a[rows], -1], sets[b[rows], -1]
+                    fits[rows] = quads_fit(positions, four, reach)
             a, b = a[fits], b[fits]
             found.append((a.astype(np.int32), sets[b, -1], np.column_stack([squares[b], apart[fits]])))
         prefix, last, squares = (np.concatenate(column) for column in zip(*found, strict=True))
@@ -126,6 +135,8 @@ def later_partners(labels: Ints) -> Iterator[tuple[Places, Places]]:
 
 def squared_distance(positions: Vector, a: Ints, b: Ints) -> Vector:
     """|p_a - p_b|^2 [m^2]."""
-    x, y = positions.T
+    x, y, *rest = positions.T
     result: Vector = (x[a] - x[b]) ** 2 + (y[a] - y[b]) ** 2
+    for z in rest:
+        result += (z[a] - z[b]) ** 2
     return result

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from climber.geometry import TOUCH, Mask, disks_meet, overlap_areas, triangle_fits
+from climber.balls import balls_meet, is_flat, overlap_measures, quads_fit
+from climber.geometry import TOUCH, Mask, overlap_areas, triangle_fits
 from climber.holdsets import Ints, Releases, later_partners, squared_distance
 from climber.poses import Rotations
+from climber.programs.regions import hold_set_supports
 from climber.programs.support import hold_set_intervals
+from climber.programs.wrenches import across
 from climber.stance import Vector
 from climber.wall import Wall
 
-LEAST_WIDTH = 1e-3  # [m] a support interval counts as at least this wide in the cost
-LEAST_AREA = 1e-4  # [m^2] a body workspace counts as at least this large in the cost
+DIRECTIONS = 8  # in which the support of a robot in space is measured
+LOOSE = 0.01  # [m] by how much it may seem to reach farther than it does
+LEAST_WIDTH = 1e-3  # [m] a support counts as at least this wide in the cost
+LEAST_AREA = 1e-4  # [m^2, m^3] a body workspace counts as at least this large in the cost
 OVERLAP = 1e-9  # [m] support intervals that miss each other by less than this touch
 
 
@@ -29,11 +36,56 @@ class Weights(Protocol):
 
     @property
     def stability(self) -> float:
-        """W2, on one over the width of the support interval of the limbs that stay [m]."""
+        """W2, on one over the width of the support of the limbs that stay [m]."""
 
     @property
     def robustness(self) -> float:
-        """W3, on one over the area of the body workspace of the limbs that stay [m^2]."""
+        """W3, on one over the area or volume of the body workspace of the limbs that stay [m^2, m^3]."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A robot on a wall, as far as the checks of moves are concerned.
+
+    Attributes:
+        wall: The wall.
+        reach: Radius of each limb's ball [m], shape (n,).
+        mass: The robot's mass [kg].
+        dimension: 2 for a robot in the wall plane, 3 for one in space.
+        positions: Where holds are [m], shape (H, 3), or (H, 2) if nothing is out of the wall plane.
+    """
+
+    wall: Wall
+    reach: Vector
+    mass: float
+    dimension: int
+    positions: Vector
+
+    @cached_property
+    def directions(self) -> Vector:
+        """Unit directions across gravity in which supports are measured, each followed after half of them by its
+        opposite; -x and x in the plane. Shape (D, 3).
+        """  # noqa: D205 - one sentence
+        if self.dimension == 2:
+            return np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+        turn = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        result: Vector = np.column_stack([-np.cos(turn), -np.sin(turn)]) @ across(self.wall.gravity)
+        return result
+
+    def extents(self, sets: NDArray[np.integer]) -> Vector:
+        """How far the centre of mass can be along each of the directions over sets of holds [m], (M, D); NaN if none.
+
+        Exact in the plane. In space the most that it can be, by proof, and no more than `LOOSE` beyond what it can.
+        """
+        if self.dimension == 2:
+            exact: Vector = hold_set_intervals(self.wall, sets, self.mass) * np.array([-1.0, 1.0])
+            return exact
+        return hold_set_supports(self.wall, sets, self.mass, self.directions, self.dimension, gap=LOOSE)[1]
+
+    def measures(self, holds: NDArray[np.integer], limbs: NDArray[np.integer]) -> Vector:
+        """Area [m^2] or, in space, volume [m^3] of the body workspace of limbs on holds, (M, k) each; shape (M,)."""
+        centers, radii = self.positions[holds], self.reach[limbs]
+        return overlap_areas(centers[..., :2], radii) if self.dimension == 2 else overlap_measures(centers, radii)
 
 
 @dataclass(frozen=True)
@@ -42,24 +94,37 @@ class Supports:
 
     Attributes:
         holds: In cyclic order, beginning after the gap of the limb that moves, shape (U, n - 1).
-        intervals: Interval of the centre of mass [m], SR1 of eq. 4.17, shape (U, 2); NaN where empty.
-        areas: Area of the body workspace [m^2], shape (U,).
+        extents: How far the centre of mass can be along `Setting.directions` [m], shape (U, D); NaN where it cannot be
+            anywhere.
+        measures: Area or volume of the body workspace [m^2, m^3], shape (U,).
     """
 
     holds: Ints
-    intervals: Vector
-    areas: Vector
+    extents: Vector
+    measures: Vector
+
+    @property
+    def intervals(self) -> Vector:
+        """Interval of the centre of mass of a robot in the wall plane [m], SR1 of eq. 4.17, shape (U, 2)."""
+        return intervals(self.extents)
 
     @property
     def stability_costs(self) -> Vector:
-        """One over the width of the interval [1/m] (4.20), shape (U,)."""
-        width: Vector = self.intervals[:, 1] - self.intervals[:, 0]
+        """One over the least width of where the centre of mass can be [1/m] (4.20), shape (U,)."""
+        half = self.extents.shape[1] // 2
+        width: Vector = (self.extents[:, :half] + self.extents[:, half:]).min(axis=1)
         return 1.0 / np.maximum(width, LEAST_WIDTH)
 
     @property
     def robustness_costs(self) -> Vector:
-        """One over the area of the body workspace [1/m^2] (4.21), shape (U,)."""
-        return 1.0 / np.maximum(self.areas, LEAST_AREA)
+        """One over the area or volume of the body workspace [1/m^2, 1/m^3] (4.21), shape (U,)."""
+        return 1.0 / np.maximum(self.measures, LEAST_AREA)
+
+
+def intervals(extents: Vector) -> Vector:
+    """Extents along -x and x as intervals."""
+    result: Vector = extents * np.array([-1.0, 1.0])
+    return result
 
 
 @dataclass(frozen=True)
@@ -86,11 +151,11 @@ class Moves:
 def reachable_pairs(
     positions: Vector, reach: Vector, rotations: Rotations, poses: Ints, releases: Releases
 ) -> tuple[Ints, Ints, Vector]:
-    """Pairs of releases of the same support whose stances' disks all overlap together (4.7).
+    """Pairs of releases of the same support whose stances' balls all overlap together (4.7).
 
     A robot of two limbs hangs from one of them meanwhile, and its pelvis swings round: there all pairs will do.
-    Otherwise both stances' own disks are known to overlap, and three by three decide (Helly); so only triples with the
-    hold let go, the hold taken and one that stays are new.
+    Otherwise both stances' own balls are known to overlap, and three by three decide, in space four by four (Helly); so
+    only those with the hold let go, the hold taken and others that stay are new.
 
     Returns:
         Rows of `releases`, shape (N,) twice, sorted by support, and the distance from hold to hold [m], shape (N,).
@@ -99,7 +164,7 @@ def reachable_pairs(
     moving = poses[releases.pose, releases.place]
     around = (releases.place[:, None] + np.arange(1, n)) % n
     staying = poses[releases.pose[:, None], around]  # (R, n - 1), the same along a support
-    equal, radius = rotations.period == 1, float(reach.max())
+    equal, radius, flat = rotations.period == 1, float(reach.max()), is_flat(positions)
     squares = squared_distance(positions, moving[:, None], staying)  # (R, n - 1)
     found = []
     for a, b in later_partners(releases.support):
@@ -110,37 +175,36 @@ def reachable_pairs(
             meet = apart <= 4.0 * (radius + TOUCH) ** 2
             for i in range(n - 1):
                 meet &= triangle_fits(squares[a, i], squares[b, i], apart, radius)
+            for i, j in combinations(range(n - 1), 2) if not flat else ():
+                rows = np.flatnonzero(meet)
+                four = staying[a[rows], i], staying[a[rows], j], moving[a[rows]], moving[b[rows]]
+                meet[rows] = quads_fit(positions, four, radius)
         else:
             holds = np.column_stack([staying[a], moving[a], moving[b]])
             places = np.column_stack([around[a], releases.place[a], releases.place[a]])
-            meet = disks_meet(positions[holds], reach[places])
+            meet = balls_meet(positions[holds], reach[places])
         found.append((a[meet].astype(np.int32), b[meet].astype(np.int32), np.sqrt(apart[meet])))
     before, after, distance = zip(*found, strict=True)
     return np.concatenate(before), np.concatenate(after), np.concatenate(distance)
 
 
-def support_table(
-    wall: Wall, reach: Vector, mass: float, rotations: Rotations, poses: Ints, releases: Releases
-) -> Supports:
-    """Interval and body workspace of the supports that the given releases leave, one row for each release."""
+def support_table(setting: Setting, rotations: Rotations, poses: Ints, releases: Releases) -> Supports:
+    """Extents and body workspace of the supports that the given releases leave, one row for each release."""
     n = rotations.num_limbs
     around = (releases.place[:, None] + np.arange(1, n)) % n
     holds = poses[releases.pose[:, None], around]
     # A set of holds occurs with the gap at several places; for equal limbs all is the same for each of them.
     sets, which = unique_rows(np.sort(holds, axis=1))
-    intervals = hold_set_intervals(wall, sets, mass)[which]
-    positions = wall.positions[:, :2]
+    extents = setting.extents(sets)[which]
     if rotations.period == 1:
-        areas = overlap_areas(positions[sets], reach[1:])[which]
+        measures = setting.measures(sets, np.arange(1, n))[which]
     else:
-        areas = overlap_areas(positions[holds], reach[around])
-    return Supports(holds, intervals, areas)
+        measures = setting.measures(holds, around)
+    return Supports(holds, extents, measures)
 
 
 def find_moves(
-    wall: Wall,
-    reach: Vector,
-    mass: float,
+    setting: Setting,
     weights: Weights,
     rotations: Rotations,
     poses: Ints,
@@ -151,12 +215,11 @@ def find_moves(
     """All moves between poses that pass the checks.
 
     A move is stable if the holds that stay can carry the robot and the centre of mass can be over them and over the
-    holds of the stance the move ends in (4.17).
+    holds of the stance the move ends in (4.17). In space only the former is asked for: what the holds that stay can
+    hold, all holds can, but for a foot that must push with a least force.
 
     Args:
-        wall: The wall.
-        reach: Radius of each limb's disk [m], shape (n,).
-        mass: The robot's mass [kg].
+        setting: The robot on the wall.
         weights: Of the costs.
         rotations: Of the robot.
         poses: Hold at each place, shape (P, n).
@@ -165,20 +228,21 @@ def find_moves(
         counts: Gains `reach_ok`, `stable_pairs`, `stable_directed`, `directed_where_SR2_clause_rejects`, `supports`.
 
     Returns:
-        The moves, their supports, and the interval of the centre of mass on each reached pose [m], shape (P, 2), NaN
-        elsewhere and where empty.
+        The moves, their supports, and the extents of the centre of mass on each reached pose [m], shape (P, D), NaN
+        elsewhere and where it cannot be anywhere; all NaN in space.
     """
-    positions = np.ascontiguousarray(wall.positions[:, :2])
-    a, b, distance = reachable_pairs(positions, reach, rotations, poses, releases)
+    a, b, distance = reachable_pairs(setting.positions, setting.reach, rotations, poses, releases)
     left, support = _numbered(releases.support[a])
-    supports = support_table(wall, reach, mass, rotations, poses, releases[a[left]])
+    supports = support_table(setting, rotations, poses, releases[a[left]])
 
     pose_a, pose_b = releases.pose[a], releases.pose[b]
-    intervals = np.full((len(poses), 2), np.nan)
-    intervals[reached] = hold_set_intervals(wall, poses[reached], mass)
-
-    held = supports.intervals[support]
-    to_b, to_a = _overlap(held, intervals[pose_b]), _overlap(held, intervals[pose_a])
+    extents = np.full((len(poses), len(setting.directions)), np.nan)
+    held = supports.extents[support]
+    if setting.dimension == 2:
+        extents[reached] = setting.extents(poses[reached])
+        to_b, to_a = overlap(held, extents[pose_b]), overlap(held, extents[pose_a])
+    else:
+        to_a = to_b = ~np.isnan(held[:, 0])
     can_hold = int((~np.isnan(held[:, 0])).sum())
     counts["reach_ok"], counts["supports"] = len(a), len(supports.holds)
     counts["stable_pairs"], counts["stable_directed"] = int((to_a | to_b).sum()), int(to_a.sum() + to_b.sum())
@@ -206,7 +270,7 @@ def find_moves(
         support=support[pair],
         cost=np.rint(cost).astype(np.int32),
     )
-    return moves, supports, intervals
+    return moves, supports, extents
 
 
 def unique_rows(rows: Ints) -> tuple[Ints, Ints]:
@@ -229,7 +293,7 @@ def _numbered(runs: NDArray[np.integer]) -> tuple[Ints, Ints]:
     return starts.astype(np.int32), number
 
 
-def _overlap(a: Vector, b: Vector) -> Mask:
-    """Whether intervals overlap; an empty one, NaN, overlaps nothing."""
-    result: Mask = np.maximum(a[:, 0], b[:, 0]) <= np.minimum(a[:, 1], b[:, 1]) + OVERLAP
+def overlap(a: Vector, b: Vector) -> Mask:
+    """Whether extents along -x and x overlap; an empty one, NaN, overlaps nothing."""
+    result: Mask = np.minimum(a, b).sum(axis=1) >= -OVERLAP
     return result

@@ -167,7 +167,8 @@ class ClimbSearch:
     def run(self) -> RobotPlan:
         """Plans, learns from what failed and plans again until a climb has a motion or there is none left."""
         began = clock.perf_counter()
-        self.graph = build_stance_graph(self.body.wall, self.robot, self.stance, self.scenario.cost)
+        avoid = self.spec.avoid.holds
+        self.graph = build_stance_graph(self.body.wall, self.robot, self.stance, self.scenario.cost, avoid)
         if rigid(self.body):  # no shift leads from one posture of a stance to another
             self.graph = with_regrasps(self.graph, self.body, self.scenario.cost)
         self.times["graph"] = clock.perf_counter() - began
@@ -213,8 +214,6 @@ class ClimbSearch:
         self.lessons = lessons = Lessons(self.graph, tasks, cast(OnFailure, self.scenario.on_failure), cuts=self.cuts)
         ends = None if self.spec.waypoints else self.vertices(self.spec.goal)
         tasks.cut(impossible_moves(self.graph, self.robot, self.body.wall, ends))
-        if self.spec.avoid.holds:
-            tasks.cut(np.flatnonzero(np.isin(self.graph.stances[self.graph.head], self.spec.avoid.holds).any(axis=1)))
         self.times["task"] += clock.perf_counter() - began
         for _ in range(self.scenario.budget.replans + 1):
             proposal = self._propose(tasks)

@@ -8,7 +8,7 @@ same checks, so what is found out about poses here holds for all their stances.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
@@ -16,7 +16,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from climber.geometry import TOUCH, Mask, counter_clockwise, disks_meet
+from climber.balls import balls_meet
+from climber.geometry import TOUCH, Mask, counter_clockwise
 from climber.holdsets import Ints, Places, Releases, reachable_sets
 from climber.stance import Vector
 
@@ -69,30 +70,39 @@ class Rotations:
         return (place - self.period * lift) % self.num_limbs
 
 
-def find_poses(positions: Vector, reach: Vector, rotations: Rotations, counts: dict[str, int]) -> Ints:
-    """All poses whose disks overlap and whose feet are in limb order around a strictly convex polygon.
+def find_poses(
+    positions: Vector,
+    reach: Vector,
+    rotations: Rotations,
+    counts: dict[str, int],
+    projected: Callable[[Ints], Vector] | None = None,
+) -> Ints:
+    """All poses whose balls overlap and whose feet are in limb order around a strictly convex polygon.
 
     Args:
-        positions: Holds in the wall plane [m], shape (H, 2).
-        reach: Radius of each limb's disk [m], shape (n,).
+        positions: Holds [m], shape (H, 3), or (H, 2) in the wall plane.
+        reach: Radius of each limb's ball [m], shape (n,).
         rotations: Of the robot.
         counts: Gains `tuples`, `valid`, `non_crossing` (ordered stances after each check) and `poses`.
+        projected: Where sets of holds (M, n) are seen [m], shape (M, n, 2), see `Wall.projected`; their x and y if not
+            given.
 
     Returns:
         The hold of each place, counter-clockwise, shape (P, n). Limb i at place i is one of the pose's stances.
     """
     n, num_holds = rotations.num_limbs, len(positions)
     sets = reachable_sets(positions, n, float(reach.max()))
-    order, convex = counter_clockwise(positions[sets])
+    seen = positions[sets][..., :2] if projected is None else projected(sets)
+    order, convex = counter_clockwise(seen)
     cycles: Ints = np.take_along_axis(sets, order, axis=1)[convex]
     if rotations.period == 1:
         valid = len(sets) * math.factorial(n)
     else:
         assignments = set(permutations(reach.round(9).tolist()))
-        valid = sum(int(disks_meet(positions[sets], np.array(radii)).sum()) for radii in assignments)
+        valid = sum(int(balls_meet(positions[sets], np.array(radii)).sum()) for radii in assignments)
         valid *= math.factorial(n) // len(assignments)
         cycles = np.concatenate([np.roll(cycles, -s, axis=1) for s in range(rotations.period)])
-        cycles = cycles[disks_meet(positions[cycles], reach)]
+        cycles = cycles[balls_meet(positions[cycles], reach)]
     counts["tuples"], counts["valid"] = math.perm(num_holds, n), valid
     counts["poses"], counts["non_crossing"] = len(cycles), len(cycles) * rotations.copies
     return cycles

@@ -53,6 +53,8 @@ class MassBounds:
     @classmethod
     def of(cls, robot: Robot) -> MassBounds | None:
         """Those of a robot; None if it is not a planar star of limbs with joints."""
+        if not robot.planar:
+            return None
         try:
             kinematics = Kinematics(robot)
         except ModelError:

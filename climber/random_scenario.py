@@ -6,7 +6,7 @@ other is checked. Whether the motions exist is for the planner to find out.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from climber.graph import StanceGraph, build_stance_graph
 from climber.holdsets import Ints
 from climber.manifold import Body
 from climber.poses import Rotations, find_poses
-from climber.programs.support import hold_set_intervals
+from climber.programs.regions import hold_sets_carried
 from climber.prune import distances, impossible_moves, out_of_reach
 from climber.random_wall import Recipe, hold_defaults
 from climber.robot import Model, Robot
@@ -64,24 +64,26 @@ def find_climb(recipe: Recipe, model: str, folder: Path | None = None) -> Random
     wall = make_wall(recipe)
     robot = Robot(Model.load(model, folder), wall.gravity)
     finder = TransitionFinder(Body(robot, wall), np.random.default_rng(recipe.seed))
-    width, height = recipe.size
+    barred = off_problem(recipe)
+    height = recipe.size[1]
     if (room := float(robot.reach.max())) > height:
         raise ClimberError(
             f"the wall is only {height:.3g} m high and the robot reaches {room:.3g} m: no room for a climb; "
             f"take more holds, a smaller density or a greater aspect"
         )
-    places = np.array([[width / 2, room / 2], [width / 2, height - room / 2]])
-    starts, tops = (list(_held(finder, end)) for end in places)
+    middle = float(wall.positions[:, 0].min() + wall.positions[:, 0].max()) / 2
+    places = np.array([[middle, room / 2], [middle, height - room / 2]])
+    starts, tops = (list(_held(finder, end, barred)) for end in places)
     if not starts or not tops:
         where = "top" if starts else "bottom"
         raise ClimberError(
             f"no stance near the {where} of the wall can be held; take another seed or density, or rougher holds"
         )
-    angle = robot.base_q[:2]
-    goals = [CircleSpec([round(float(x), 3) for x in found.q[0, angle]], GOAL_RADIUS) for found in tops]
+    origin = robot.origin_q[:2]
+    goals = [CircleSpec([round(float(x), 3) for x in found.q[0, origin]], GOAL_RADIUS) for found in tops]
     for found in starts:
         start = Stance(tuple(contact.hold for contact in found.contacts))
-        graph = build_stance_graph(wall, robot, start, CostWeights())
+        graph = build_stance_graph(wall, robot, start, CostWeights(), barred)
         usable = np.ones(graph.num_edges, dtype=bool)
         usable[impossible_moves(graph, robot, wall, ends(graph, goals[0]))] = False
         moves = distances(np.array([graph.start]), graph.first_edge, np.arange(graph.num_edges), graph.head, usable)
@@ -95,24 +97,27 @@ def find_climb(recipe: Recipe, model: str, folder: Path | None = None) -> Random
     )
 
 
-def _held(finder: TransitionFinder, place: Vector) -> Iterator[Postures]:
+def _held(finder: TransitionFinder, place: Vector, barred: Sequence[int]) -> Iterator[Postures]:
     """Postures on stances around a place in the wall plane that can be held, the nearest and most upright first."""
     body = finder.body
     wall, robot = body.wall, body.robot
-    positions = wall.positions[:, :2]
-    near = np.sort(np.linalg.norm(positions - place, axis=1).argsort()[:NEIGHBOURS])
+    usable = np.setdiff1d(np.arange(len(wall.holds)), barred)
+    positions = wall.positions[:, : robot.dimension]
+    distance = np.linalg.norm(positions[usable, :2] - place, axis=1)
+    near = np.sort(usable[distance.argsort()[:NEIGHBOURS]])
     if len(near) < len(robot.limbs):
         return
     rotations = Rotations.of(robot.reach, robot.symmetries)
-    poses = near[find_poses(positions[near], robot.reach, rotations, {})]
+    poses = near[find_poses(positions[near], robot.reach, rotations, {}, lambda sets: wall.projected(near[sets]))]
     turned = [np.roll(poses, rotations.period * lift, axis=1) for lift in range(rotations.copies)]
     stances = np.concatenate(turned)
-    stances = stances[~np.isnan(hold_set_intervals(wall, stances, robot.mass)[:, 0])]
+    stances = stances[hold_sets_carried(wall, stances, robot.mass, robot.dimension)]
     stances = stances[~out_of_reach(robot, wall, stances)]
-    centers = positions[stances].mean(axis=1)
+    seen = wall.projected(stances)
+    centers = wall.positions[stances][..., :2].mean(axis=1)
     hips = np.array([limb.hip[:2] for limb in robot.limbs])
     hips /= np.maximum(np.linalg.norm(hips, axis=1, keepdims=True), 1e-9)
-    away = positions[stances] - centers[:, None]
+    away = seen - seen.mean(axis=1, keepdims=True)
     away /= np.maximum(np.linalg.norm(away, axis=2, keepdims=True), 1e-9)
     upright = (away * hips).sum(axis=2).mean(axis=1)  # 1 if every limb points where its hip does
     held = 0

@@ -163,7 +163,7 @@ class RelaxedClimb:
         Raises:
             ClimberError: If the start itself fails a relaxed check.
         """
-        return build_stance_graph(self.wall, self.robot, self.start, self.weights)
+        return build_stance_graph(self.wall, self.robot, self.start, self.weights, self.avoid)
 
     def impossible(self, graph: StanceGraph) -> Mask:
         """The edges that are proved impossible though they pass the graph's checks, shape (E,); see `climber.prune`."""
@@ -181,8 +181,7 @@ class RelaxedClimb:
             barred: Edges that must not be used, shape (E,).
         """
         graph = graph or self.graph()
-        avoided = np.isin(graph.stances[graph.head], self.avoid)
-        usable: Mask = np.logical_not(avoided.any(axis=1))
+        usable: Mask = np.logical_not(np.isin(graph.stances[graph.head], self.avoid).any(axis=1))
         if barred is not None:
             usable &= ~barred
         visits = [np.zeros(graph.num_vertices, dtype=bool) for _ in self.waypoints]

@@ -11,11 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from climber.geometry import overlap_areas
 from climber.graph import StanceGraph
 from climber.manifold import Body
-from climber.moves import OVERLAP, Supports, Weights
-from climber.programs.support import hold_set_intervals
+from climber.moves import Setting, Supports, Weights, overlap
 
 
 def rigid(body: Body) -> bool:
@@ -33,18 +31,14 @@ def with_regrasps(graph: StanceGraph, body: Body, weights: Weights) -> StanceGra
     vertex = np.repeat(np.arange(V), n)
     others = (limb[:, None] + 1 + np.arange(n - 1)) % n
     holds = graph.stances[vertex[:, None], others]
-    intervals = hold_set_intervals(body.wall, holds, body.robot.mass)
-    areas = overlap_areas(body.wall.positions[holds][..., :2], body.robot.reach[others])
-    standing = hold_set_intervals(body.wall, graph.stances, body.robot.mass)[vertex]
-    lower, upper = np.maximum(intervals[:, 0], standing[:, 0]), np.minimum(intervals[:, 1], standing[:, 1])
-    good = lower <= upper + OVERLAP  # false where an interval is empty, NaN
-    extra = Supports(holds[good], intervals[good], areas[good])
+    robot = body.robot
+    setting = Setting(body.wall, robot.reach, robot.mass, robot.dimension, body.wall.positions[:, : robot.dimension])
+    extents, standing = setting.extents(holds), setting.extents(graph.stances)[vertex]
+    good = overlap(extents, standing) if robot.dimension == 2 else ~np.isnan(extents[:, 0])
+    extra = Supports(holds[good], extents[good], setting.measures(holds, others)[good])
     cost = weights.stability * extra.stability_costs + weights.robustness * extra.robustness_costs
-    supports = Supports(
-        np.concatenate([graph.supports.holds, extra.holds]),
-        np.concatenate([graph.supports.intervals, extra.intervals]),
-        np.concatenate([graph.supports.areas, extra.areas]),
-    )
+    columns = ((getattr(graph.supports, name), getattr(extra, name)) for name in ("holds", "extents", "measures"))
+    supports = Supports(*(np.concatenate(pair) for pair in columns))
     rows = len(graph.supports.holds) + np.arange(good.sum())
     tail, head = (np.concatenate([ends, vertex[good].astype(ends.dtype)]) for ends in (graph.tail, graph.head))
     order = np.lexsort((head, tail))

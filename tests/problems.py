@@ -143,11 +143,13 @@ class DiskRobot:
         reach: Reach of each limb from the pelvis's origin [m], shape (n,).
         symmetries: Limb permutations that leave the robot the same.
         mass: Total mass [kg].
+        dimension: 2 in the wall plane, 3 in space.
     """
 
     reach: Vector
     symmetries: tuple[tuple[int, ...], ...]
     mass: float = 2.0
+    dimension: int = 2
 
     @classmethod
     def with_limbs(cls, num_limbs: int, reach: float = 0.25, fold: int = 1) -> DiskRobot:
