@@ -65,13 +65,13 @@ def find_climb(recipe: Recipe, model: str, folder: Path | None = None) -> Random
     robot = Robot(Model.load(model, folder), wall.gravity)
     finder = TransitionFinder(Body(robot, wall), np.random.default_rng(recipe.seed))
     barred = off_problem(recipe)
-    height = recipe.size[1]
+    width, height = recipe.size
     if (room := float(robot.reach.max())) > height:
         raise ClimberError(
             f"the wall is only {height:.3g} m high and the robot reaches {room:.3g} m: no room for a climb; "
             f"take more holds, a smaller density or a greater aspect"
         )
-    middle = float(wall.positions[:, 0].min() + wall.positions[:, 0].max()) / 2
+    middle = 0.0 if recipe.kind.endswith("corner") else width / 2  # x = 0 is the edge of a corner
     places = np.array([[middle, room / 2], [middle, height - room / 2]])
     starts, tops = (list(_held(finder, end, barred)) for end in places)
     if not starts or not tops:
