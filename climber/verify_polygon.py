@@ -14,9 +14,10 @@ from climber.verify_grips import ConeGrip, Grip, PinGrip
 
 ACCURACIES = (1e-11, 1e-9)  # asked of the solver, the second where it does not get to the first
 FIRST = 12  # directions asked to begin with
-CLEAR = 1e-4  # [m] margins of more than this need not be exact
-EXACT = 1e-7  # [m] others are, to this
-MOST = 200  # directions asked after those
+OUTSIDE = 1e-4  # [m] places outside by more than this, whatever the answers, need not be told exactly
+EXACT = 1e-7  # [m] others that are not known to be inside are, to this
+MOST = 1000  # directions asked for that
+BESIDE = (0.0, 1e-3, -1e-3, 1e-2, -1e-2)  # [rad]
 SAME = 1e-8  # [m] corners closer than this count as one
 ROUNDING = 1e-9  # [m]
 
@@ -24,8 +25,9 @@ ROUNDING = 1e-9  # [m]
 class _Reach:
     """How far the centre of mass can be in a direction across gravity, over r friction contacts and l pins.
 
-    Variables: normal forces a (r,) and tangential ones in parts of friction, B (2, r) [N]; forces of pins F (3, l) [N];
-    the sum m of the moments on pins [N m]; the centre of mass c (2,) across gravity from the contacts' centroid [m].
+    Variables: normal forces a (r,) and tangential ones in parts of friction, B (2, r); forces of pins F (3, l); the sum
+    m of the moments on pins [m]; the centre of mass c (2,) across gravity from the contacts' centroid [m]. Forces and
+    moments are in weights.
 
         maximise     direction . c
         subject to   sum of forces    = -weight                                  (3 rows)
@@ -106,27 +108,28 @@ class Polygon:
         """Asks in a direction; whether there was an answer."""
         import cvxpy
 
+        size = float(np.linalg.norm(self.weight))
         cones = [(g, p) for g, p in zip(self.grips, self.points, strict=True) if isinstance(g, ConeGrip)]
         pins = [(g, p) for g, p in zip(self.grips, self.points, strict=True) if isinstance(g, PinGrip)]
         program, centroid = _reach(len(cones), len(pins)), self.points.mean(axis=0)
         along, aside = np.zeros((6, max(len(cones), 1))), np.zeros((2, 6, max(len(cones), 1)))
         lower, upper = np.full(max(len(cones), 1), -1.0), np.full(max(len(cones), 1), 1.0)
-        load = np.append(-self.weight, np.zeros(3))
+        load = np.append(-self.weight / size, np.zeros(3))
         for i, (grip, point) in enumerate(cones):
             tangents = np.linalg.svd(grip.normal[None])[2][1:] * grip.friction
             along[:, i] = _wrench(grip.normal, point - centroid)
             aside[:, :, i] = [_wrench(tangent, point - centroid) for tangent in tangents]
-            lower[i], upper[i] = grip.lower, grip.upper
-            load += grip.adhesion * along[:, i]
+            lower[i], upper[i] = grip.lower / size, grip.upper / size
+            load += grip.adhesion / size * along[:, i]
         at_pins, most = np.zeros((6, 3 * max(len(pins), 1))), np.ones(3 * max(len(pins), 1))
         for i, (pin, point) in enumerate(pins):
             at_pins[:, 3 * i : 3 * i + 3] = np.column_stack([_wrench(e, point - centroid) for e in np.eye(3)])
-            most[3 * i : 3 * i + 3] = pin.most
+            most[3 * i : 3 * i + 3] = pin.most / size
         program.along.value, program.lower.value, program.upper.value = along, lower, upper
         program.aside[0].value, program.aside[1].value = aside
         program.pins.value, program.most.value = at_pins, most
-        program.turning.value = sum(grip.moment for grip in self.grips)
-        program.lever.value = np.vstack([np.zeros((3, 2)), np.cross(self.basis, self.weight).T])
+        program.turning.value = sum(grip.moment for grip in self.grips) / size
+        program.lever.value = np.vstack([np.zeros((3, 2)), np.cross(self.basis, self.weight / size).T])
         program.load.value, program.direction.value = load, direction
         for accuracy in ACCURACIES:
             tolerances = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), accuracy)
@@ -147,7 +150,8 @@ class Polygon:
     def margin(self, center: Vector) -> Vector:
         """How far places of the centre of mass, shape (K, 3), are inside [m], shape (K,); negative outside.
 
-        A margin of more than `CLEAR` may be more than that, others are right to `EXACT`. NaN if there is no polygon.
+        A positive margin may be more than that. A negative one is right to `EXACT`, and one of less than -`OUTSIDE` may
+        be more than that, but not more than -`OUTSIDE`. NaN if there is no polygon.
         """
         places = center @ self.basis.T
         if not self.exists:
@@ -155,13 +159,15 @@ class Polygon:
         for _ in range(MOST):
             least, normal = self._inside(places)
             most = self._outside(places)
-            doubtful = np.flatnonzero((least < CLEAR) & (most > -CLEAR) & (most - least > EXACT))
+            doubtful = np.flatnonzero((least < 0.0) & (most > -OUTSIDE) & (most - least > EXACT))
             if not len(doubtful):
                 break
             worst = int(doubtful[np.argmax((most - least)[doubtful])])
-            if not self._ask(normal[worst]):
-                self.status = "optimal"  # there was an answer in other directions
+            x, y = normal[worst]
+            # The solver has its weak spots; beside one it will do.
+            if not any(self._ask(np.array([x - turn * y, y + turn * x]) / np.hypot(1.0, turn)) for turn in BESIDE):
                 break
+        self.status = "optimal"
         return least
 
     def _outside(self, places: Vector) -> Vector:
