@@ -15,10 +15,12 @@ foot may stand anywhere on its patch, so disks are larger by the half width of t
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 from numpy.typing import NDArray
 
-from climber.geometry import CHUNK, Mask, common_points, disks_meet
+from climber.geometry import CHUNK, TOUCH, Mask, common_points, disks_meet
 from climber.graph import StanceGraph
 from climber.holdsets import Ints, Places
 from climber.prune_balance import MassBounds, transition_intervals
@@ -35,20 +37,37 @@ DETOUR = 3  # moves more than the fewest that such a climb has
 def out_of_reach(robot: Robot, wall: Wall, stances: NDArray[np.integer]) -> Mask:
     """Which stances are proved to have no posture, whichever points of their patches the feet are on.
 
+    For a robot in space only what holds in any attitude is asked: no two feet are farther apart than their limbs are
+    long and their hips apart.
+
     Args:
         robot: The robot.
         wall: The wall.
         stances: The hold of each limb, shape (V, n).
 
     Returns:
-        Shape (V,); all False for a robot whose pelvis leaves the wall plane.
+        Shape (V,).
     """
     impossible = np.zeros(len(stances), dtype=bool)
-    if robot.planar:
-        for first in range(0, len(stances), CHUNK):
-            rows = slice(first, first + CHUNK)
-            impossible[rows] = ~_Turns(robot, wall, stances[rows]).possible()
+    if not robot.planar:
+        return _too_far_apart(robot, wall, stances)
+    for first in range(0, len(stances), CHUNK):
+        rows = slice(first, first + CHUNK)
+        impossible[rows] = ~_Turns(robot, wall, stances[rows]).possible()
     return impossible
+
+
+def _too_far_apart(robot: Robot, wall: Wall, stances: NDArray[np.integer]) -> Mask:
+    """Stances (V, n) two feet of which are too far apart in any attitude of the pelvis, shape (V,)."""
+    hips = np.array([limb.hip for limb in robot.limbs])
+    lengths = robot.reach - np.linalg.norm(hips, axis=1)
+    patches = np.array([hold.half_width for hold in wall.holds])
+    far = np.zeros(len(stances), dtype=bool)
+    for i, j in combinations(range(len(hips)), 2):
+        one, two = stances[:, i], stances[:, j]
+        most = lengths[i] + lengths[j] + float(np.linalg.norm(hips[i] - hips[j])) + patches[one] + patches[two]
+        far |= np.linalg.norm(wall.positions[one] - wall.positions[two], axis=1) > most + TOUCH
+    return far
 
 
 class _Turns:

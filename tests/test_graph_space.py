@@ -13,13 +13,16 @@ from problems import QUADRUPED, DiskRobot, random_wall, thesis_wall
 from climber.balls import balls_meet
 from climber.exceptions import ClimberError
 from climber.graph import StanceGraph, build_stance_graph
+from climber.kinematics import Kinematics
 from climber.polygon import in_order
 from climber.poses import Rotations, find_poses
 from climber.programs.regions import hold_set_regions, hold_sets_carried
+from climber.prune import impossible_moves, out_of_reach
+from climber.robot import Robot
 from climber.scenario import CostWeights
 from climber.solids import Box, Sphere, triple
 from climber.stance import Stance
-from climber.wall import Wall
+from climber.wall import Hold, Wall
 from climber.wall_kinds import KINDS, make_wall
 
 WEIGHTS = CostWeights()
@@ -102,7 +105,7 @@ class Enumeration:
         return edges
 
 
-def some_start(wall: Wall, robot: DiskRobot) -> Stance:
+def some_start(wall: Wall, robot: DiskRobot | Robot) -> Stance:
     """A stance that has moves."""
     rotations = Rotations.of(robot.reach, robot.symmetries)
     poses = find_poses(wall.positions, robot.reach, rotations, {}, wall.projected)
@@ -179,3 +182,22 @@ def test_five_limbs_in_space() -> None:
         for tail, head in zip(graph.tail, graph.head, strict=True)
     }
     assert found == Enumeration(wall, robot).edges(start)
+
+
+def test_stances_proved_out_of_reach_have_no_posture_and_moves_between_them_are_pruned() -> None:
+    recipe = replace(KINDS["vertical"], holds=24, seed=1)
+    wall = make_wall(recipe)
+    robot = Robot("package://climber/lemur/lemur.urdf", wall.gravity)
+    graph = build_stance_graph(wall, robot, some_start(wall, robot), WEIGHTS)
+    far = out_of_reach(robot, wall, graph.stances)
+    assert 0.01 < far.mean() < 0.5
+    cut = impossible_moves(graph, robot, wall)
+    np.testing.assert_array_equal(cut, np.flatnonzero(far[graph.tail] | far[graph.head]))
+    # Feet where a posture has them are never called too far apart.
+    kinematics, rng = Kinematics(robot), np.random.default_rng(0)
+    q = np.zeros((500, robot.plant.num_positions()))
+    q[:, robot.angle_q] = rng.uniform(-1.0, 1.0, (500, 3))
+    q[:, kinematics.joint_q] = 0.2 * rng.uniform(kinematics.lower, kinematics.upper, (500, len(kinematics.lower)))
+    for feet in kinematics.feet(q):
+        there = Wall(tuple(Hold(triple(p), (0.0, 1.0, 0.0), 0.5) for p in feet))
+        assert not out_of_reach(robot, there, np.array([[0, 1, 2, 3]]))[0]
