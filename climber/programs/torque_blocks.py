@@ -94,7 +94,20 @@ def _least_slack(
         C[:, :, 0, n] = -1.0
     else:
         d[:, :, 0] += TOLERANCE
-    solution = solve_blocks(None, cost, _slackened(instants.E, 0.0), instants.b, rows, limits, C, d)
-    if solution is None:
-        raise RuntimeError("Clarabel finds no forces that balance the robot although there are some")
+    solution = _solve_each(cost, _slackened(instants.E, 0.0), instants.b, rows, limits, C, d)
     return solution[:, :n], solution[:, n]
+
+
+def _solve_each(cost: Vector, *program: Vector) -> Vector:
+    """`solve_blocks` of linear programs that have solutions, in halves where Clarabel gets no further with all at once.
+
+    With cones it can stop short of a solution of dozens of programs each of which it solves.
+    """
+    solution = solve_blocks(None, cost, *program)
+    if solution is not None:
+        return solution
+    half = len(cost) // 2
+    if half == 0:
+        raise RuntimeError("Clarabel finds no forces that balance the robot although there are some")
+    parts = (slice(None, half), slice(half, None))
+    return np.concatenate([_solve_each(cost[part], *(x[part] for x in program)) for part in parts])
