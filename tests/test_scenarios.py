@@ -27,6 +27,10 @@ def planned(name: str) -> Plan:
 def test_it_solves_and_the_plan_verifies(name: str) -> None:
     verdict = verify(planned(name))
     assert verdict.ok, str(verdict)
+    # Every phase is timed by the conic program, and there is a limit that keeps it from being faster.
+    timings = [phase.timing for robot in planned(name).robots for phase in robot.phases]
+    assert {timing.method for timing in timings} == {"conic"}
+    assert sum(not timing.active for timing in timings) <= 0.1 * len(timings)
 
 
 def test_on_the_obstacle_wall_the_first_plan_has_postures_but_no_motion() -> None:

@@ -84,7 +84,7 @@ class PathDynamics:
 
         It is that of speed; at ends where q' and q'' vanish, that of jerk, which is q^(3) b^(3/2) there.
         """
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore"):
             most = (self.speed / np.abs(self.first)) ** 2
             ends = [(self.jerk / np.abs(self._bend[end])) ** (2 / 3) for end in (0, -1)]
         names = [f"speed {self.names[2][j]}" for j in most.argmin(axis=1)]
@@ -102,7 +102,7 @@ class PathDynamics:
 
     def paced(self) -> float:
         """The greatest b, the same all along the path, that keeps to the limits of speed, acceleration and jerk."""
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore"):
             by_acceleration = (self.acceleration / np.abs(self.second)).min()
             by_jerk = ((self.jerk / np.abs(self._bend)) ** (2 / 3)).min()
         return float(max(SLOWEST, min(self.fastest[0].min(), by_acceleration, by_jerk)))

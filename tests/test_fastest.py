@@ -1,0 +1,267 @@
+"""Legs timed: within limits and with a reserve, at rest at both ends; where it is impossible, it says where and why."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from robots import robot
+from test_torque import STANDING, feet, variant
+from test_torque import robot as _fixture  # noqa: F401
+
+from climber.curve import Curve
+from climber.dynamics import evaluate
+from climber.exceptions import ModelError
+from climber.fastest import JERK, RESERVE, SHORTEST, FastLeg, RateLimits, fastest_leg, instants_of
+from climber.manifold import Body, Chart
+from climber.phase_motion import MotionBudget, timed
+from climber.programs import torque_blocks
+from climber.programs.torque import phase_torques
+from climber.robot import Robot
+from climber.stance import Contact, Vector
+from climber.timing import PacedPath
+from climber.verify_motion import drift
+from climber.wall import Hold, Wall
+
+PACE = 0.9
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A straight shift of the pelvis on friction holds under the feet.
+
+    Attributes:
+        body: The robot on these holds.
+        contacts: Those that hold.
+        path: The leg.
+    """
+
+    body: Body
+    contacts: tuple[Contact, ...]
+    path: PacedPath
+
+    def fastest(self, pace: float = PACE) -> FastLeg | str | None:
+        return fastest_leg(self.body, self.contacts, self.path, RateLimits.of(self.body.robot, pace))
+
+
+def shifting(
+    way: tuple[float, float, float],
+    friction: tuple[float, ...] = (0.8,) * 4,
+    air: int | None = None,
+    lean: tuple[float, ...] = (0.0,) * 4,
+    machine: Robot | None = None,
+    min_force: float = 0.5,
+) -> Leg:
+    """The quadruped's pelvis goes `way` (x, y, angle) [m, rad] from its standing posture.
+
+    Args:
+        way: Where to.
+        friction: Coefficient of each limb's hold.
+        air: A limb that does not hold.
+        lean: Of each hold's normal from straight up towards -x [rad].
+        machine: The robot.
+        min_force: Least force along the edges of the cones [N].
+    """
+    machine = machine or robot("quadruped")
+    holds = tuple(
+        Hold(tuple(foot), (-np.sin(a), np.cos(a), 0.0), mu, min_force=min_force, max_force=20.0)
+        for foot, mu, a in zip(feet(machine, STANDING), friction, lean, strict=True)
+    )
+    body = Body(machine, Wall(holds))
+    contacts = tuple(Contact(i, i) for i in range(4) if i != air)
+    chart = Chart(body, {c.limb: body.wall.point(c) for c in contacts}, body.branches(STANDING))
+    start = chart.coordinates(STANDING)
+    step = np.zeros(len(start))
+    step[:3] = way
+    control = start + np.linspace(0.0, 1.0, 6)[:, None] * step
+    assert chart.expand(control)[1].min() > 0.003  # [m] legs are not straight on the way
+    return Leg(body, contacts, PacedPath(Curve(chart, control)))
+
+
+WAYS = st.tuples(st.floats(-0.02, 0.02), st.floats(-0.015, 0.015), st.floats(-0.15, 0.15))
+FRICTIONS = st.tuples(*[st.floats(0.1, 1.2)] * 4)
+LEANS = st.tuples(*[st.floats(-0.4, 0.4)] * 4)
+
+
+@settings(max_examples=25, deadline=None)
+@given(way=WAYS, friction=FRICTIONS, lean=LEANS, air=st.sampled_from([None, 2, 3]))
+def test_a_leg_keeps_its_limits_with_a_reserve(
+    way: tuple[float, float, float], friction: tuple[float, ...], lean: tuple[float, ...], air: int | None
+) -> None:
+    """Accelerations a little less than the reserve allows are still within friction and torque, by another program."""
+    leg = shifting(way, friction, air, lean)
+    fast = leg.fastest()
+    if not isinstance(fast, FastLeg):
+        return
+    samples = fast.samples(fast.duration, 81)
+    limits = RateLimits.of(leg.body.robot, PACE)
+    assert limits.slowing(samples) < 1.1
+    holding = [c.limb for c in leg.contacts]
+    faster = 1 / np.sqrt(1.1 * RESERVE)  # the same motion, so much faster
+    dynamics = evaluate(leg.body.robot, samples.q, faster * samples.v, holding)
+    torques = phase_torques(leg.body.robot, leg.body.wall, leg.contacts, dynamics, faster**2 * samples.vd)
+    assert torques.ok.mean() > 0.95
+    assert torques.violation.max() < 0.1  # [N, N m] between the places that were looked at
+
+
+@settings(max_examples=25, deadline=None)
+@given(way=WAYS, friction=FRICTIONS, lean=LEANS, air=st.sampled_from([None, 2, 3]))
+def test_half_the_friction_never_makes_a_leg_faster(
+    way: tuple[float, float, float], friction: tuple[float, ...], lean: tuple[float, ...], air: int | None
+) -> None:
+    whole, half = (shifting(way, tuple(f * mu for mu in friction), air, lean).fastest() for f in (1.0, 0.5))
+    if isinstance(half, FastLeg):
+        assert isinstance(whole, FastLeg)
+        # To the accuracy of the rounds that find a jerk-limited motion.
+        assert half.duration >= whole.duration * (1 - 0.02)
+
+
+@cache
+def a_leg() -> Leg:
+    return shifting((0.03, 0.01, 0.2))
+
+
+def test_a_leg_begins_and_ends_with_neither_speed_nor_acceleration() -> None:
+    fast = a_leg().fastest()
+    assert isinstance(fast, FastLeg)
+    samples = fast.samples(fast.duration, 101)
+    assert np.abs(samples.v[[0, -1]]).max() < 1e-12 and np.abs(samples.vd[[0, -1]]).max() < 1e-9
+    assert samples.q[[0, -1]] == pytest.approx(a_leg().path.samples(1.0, 2).q, abs=1e-12)
+    rates = a_leg().body.robot.rates(samples.q, samples.v, samples.vd)
+    assert max(float(error.max()) for error in drift(samples, rates)) < 1.0
+
+
+def test_a_leg_is_faster_than_the_law_of_fixed_shape_that_keeps_to_the_same_limits() -> None:
+    fast, limits = a_leg().fastest(), RateLimits.of(a_leg().body.robot, PACE)
+    assert isinstance(fast, FastLeg)
+    slow = a_leg().path.samples(fast.duration, 401)
+    assert limits.slowing(slow) > 1.1
+    assert fast.duration > SHORTEST
+
+
+def test_at_half_the_pace_a_leg_takes_twice_as_long_unless_friction_slows_it() -> None:
+    whole, half = a_leg().fastest(0.8), a_leg().fastest(0.4)
+    assert isinstance(whole, FastLeg) and isinstance(half, FastLeg)
+    assert half.duration == pytest.approx(2 * whole.duration, rel=0.03)
+
+
+def test_forces_to_begin_with_are_near_to_some_that_make_the_motion() -> None:
+    leg, fast = a_leg(), a_leg().fastest()
+    assert isinstance(fast, FastLeg)
+    samples = fast.samples(fast.duration, 81)
+    dynamics = evaluate(leg.body.robot, samples.q, samples.v, range(4))
+    instants = instants_of(leg.body, leg.contacts, dynamics.load(samples.vd), dynamics.J)
+    assert instants.imbalance(fast.forces(81)).max() < 0.2
+    assert instants.inside(instants.balanced(fast.forces(81))).all()
+
+
+def test_a_leg_of_no_length_stands_still_for_a_moment() -> None:
+    for way in ((0.0, 0.0, 0.0), (1e-7, 0.0, 0.0)):
+        leg = shifting(way)
+        answer = timed(leg.body, leg.contacts, [leg.path], MotionBudget())
+        assert not isinstance(answer, str)
+        samples, torques, timing = answer
+        assert samples.time[-1] == pytest.approx(SHORTEST)
+        assert np.ptp(samples.q, axis=0).max() < 1e-6
+        assert torques.ok.all() and timing.method == "conic"
+
+
+def test_legs_one_after_the_other_have_claims_at_their_own_times() -> None:
+    leg = a_leg()
+    once = timed(leg.body, leg.contacts, [leg.path], MotionBudget())
+    twice = timed(leg.body, leg.contacts, [leg.path, shifting((0.03, 0.01, 0.2)).path], MotionBudget())
+    assert not isinstance(once, str) and not isinstance(twice, str)
+    (first, _, timing), (both, _, timings) = once, twice
+    assert both.time[-1] == pytest.approx(2 * first.time[-1])
+    # A limit that is active where one leg ends and the next begins is so in one interval.
+    ends = {end for _, end, _ in timings.active}
+    assert timing.active and max(ends) > 1.9 * first.time[-1]
+    assert sum(b - a for a, b, _ in timings.active) == pytest.approx(
+        2 * sum(b - a for a, b, _ in timing.active), rel=0.1
+    )
+    assert list(timings.active) == sorted(timings.active)
+
+
+def test_a_place_where_the_robot_cannot_stand_is_named_with_the_limb_that_slips() -> None:
+    """The pelvis goes sideways until three feet hold it no more: its end is the worst place."""
+    leg = shifting((0.03, 0.0, 0.0), friction=(0.3,) * 4, air=3, min_force=2.0)
+    answer = leg.fastest()
+    assert isinstance(answer, str)
+    assert answer.startswith("the robot cannot stand still at ")
+    share = float(answer.split(" at ")[1].split("%")[0])
+    assert share == 100.0
+    assert any(f"friction {name}, by" in answer for name in leg.body.robot.limb_names)
+    assert timed(leg.body, leg.contacts, [leg.path], MotionBudget()) == answer
+
+
+def test_a_motor_that_cannot_hold_the_robot_is_named(tmp_path: Path) -> None:
+    weak = variant(robot("quadruped"), tmp_path, ('effort="4.0"', 'effort="0.05"'))
+    answer = shifting((0.03, 0.0, 0.0), machine=weak).fastest()
+    assert isinstance(answer, str) and "torque limit of" in answer
+    assert any(name in answer for name in weak.joint_names)
+
+
+def test_damping_in_motors_slows_a_leg_and_is_within_their_torques(tmp_path: Path) -> None:
+    """So much of it that torques bind."""
+    damped = variant(robot("quadruped"), tmp_path, ('damping="0.0"', 'damping="4.0"'))
+    leg, free = shifting((0.03, 0.01, 0.2), machine=damped), a_leg().fastest()
+    fast = leg.fastest()
+    assert isinstance(fast, FastLeg) and isinstance(free, FastLeg)
+    assert fast.duration > free.duration
+    answer = timed(leg.body, leg.contacts, [leg.path], MotionBudget())
+    assert not isinstance(answer, str)
+    assert (np.abs(answer[1].torque) <= damped.effort).all()
+
+
+def test_damping_in_a_joint_without_a_motor_is_refused_by_name(tmp_path: Path) -> None:
+    text = robot("quadruped").model.path.read_text()
+    motors = re.findall(r"  <transmission>.*?</transmission>\n", text, flags=re.DOTALL)
+    knees = [(motor, "") for motor in motors if "_knee" in motor]
+    passive = variant(robot("quadruped"), tmp_path, *knees, ('damping="0.0"', 'damping="0.1"'))
+    with pytest.raises(ModelError, match=r"variant.urdf.*without a motor.*damped"):
+        shifting((0.01, 0.0, 0.0), machine=passive).fastest()
+
+
+def test_limits_are_the_models_at_full_pace_and_shrink_with_its_powers() -> None:
+    machine = robot("quadruped")
+    full, half = RateLimits.of(machine, 1.0), RateLimits.of(machine, 0.5)
+    assert (full.speed[machine.joint_v] == 4.0).all() and (full.acceleration[machine.joint_v] == 60.0).all()
+    assert (full.jerk[machine.joint_v] == JERK).all()
+    for name, factor in (("speed", 0.5), ("acceleration", 0.25), ("jerk", 0.125)):
+        assert getattr(half, name) == pytest.approx(factor * getattr(full, name))
+        assert set(full.by_name(machine)[name]) == set(machine.velocity_names)
+
+
+def test_a_motion_beyond_its_limits_is_slowed_by_as_much_as_it_takes() -> None:
+    fast, limits = a_leg().fastest(), RateLimits.of(a_leg().body.robot, PACE)
+    assert isinstance(fast, FastLeg)
+    for kind, order in (("speed", 1), ("acceleration", 2), ("jerk", 3)):
+        tight = replace(limits, **{kind: getattr(limits, kind) / 2.0**order})
+        by = tight.slowing(fast.samples(fast.duration, 201))
+        assert by > 1.0
+        slowed = fast.slowed(by)
+        assert tight.slowing(slowed.samples(slowed.duration, 201)) == pytest.approx(1.0, abs=1e-6)
+
+
+def standing_room(leg: Leg, q: Vector) -> float:
+    dynamics = evaluate(leg.body.robot, q[None], 0 * q[None], range(4))
+    instants = instants_of(leg.body, leg.contacts, dynamics.load(0 * q[None]), dynamics.J)
+    return float(-torque_blocks.least_violation(instants)[1][0])
+
+
+def test_hardly_any_room_still_leaves_a_timing_if_a_slow_one() -> None:
+    """Where the least force is what the robot can just press everywhere."""
+    low, high = 0.5, 5.0  # [N] with the one there is room, with the other there is none
+    while high - low > 0.02:
+        middle = (low + high) / 2
+        enough = standing_room(shifting((0.002, 0.0, 0.0), min_force=middle), STANDING) > 0.02
+        low, high = (middle, high) if enough else (low, middle)
+    slow, fast = shifting((0.002, 0.0, 0.0), min_force=low).fastest(), shifting((0.002, 0.0, 0.0)).fastest()
+    assert isinstance(fast, FastLeg) and isinstance(slow, FastLeg)
+    assert slow.duration >= fast.duration
