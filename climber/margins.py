@@ -2,8 +2,8 @@
 
 The motion stays what it is planned to be; contact forces and torques may be others, within all limits. Each margin is
 the greatest error of one kind alone that every sample of the phase survives in this sense. A margin is proved at all
-samples by forces that balance and keep to the limits, and it is the greatest up to `programs.margins.GAP`, but for
-`place`, see `programs.place_margin`. Greater margins than `CAPS` are not told apart.
+samples by forces that balance and keep to the limits, and it is the greatest up to `programs.margins.GAP`, in space 10 %,
+but for `place`, see `programs.place_margin`. Greater margins than `CAPS` are not told apart.
 """
 
 from __future__ import annotations
@@ -95,6 +95,8 @@ class _Several:
         for p, (direction, contact) in enumerate(zip(directions, contacts, strict=True)):
             if worst.value[p] >= (1.0 - 2.0 * GAP) * CAPS[kind]:  # nothing is worst
                 direction = contact = None
+            elif direction is not None and not np.any(direction):  # not survived at all, whatever the direction
+                direction = np.eye(3)[0]
             x, y, z = (0.0, 0.0, 0.0) if direction is None else np.pad(direction, (0, 3 - len(direction))).tolist()
             margins.append(
                 PhaseMargin(

@@ -4,8 +4,8 @@ A margin says that the motion of a phase survives errors of one kind up to a siz
 forces that balance the robot, keep to what the holds can then give, and need no torque beyond the motors' limits. The
 claim is tried at every sample (errors of a hold's place: at one in `SPARSE`) in `AROUND` directions: first with forces
 near ones well inside the limits, then near forces found for other samples; where these will not do, a conic program
-finds the least by which limits must be left. At the instant that the plan names as the worst, an error greater by
-`SHORT` must not be survived, but for errors of a hold's place, of which the plan gives a lower bound only.
+finds the least by which limits must be left. At the instant that the plan names as the worst, an error greater by a
+share of `SHORT` must not be survived, but for errors of a hold's place, of which the plan gives a lower bound only.
 """
 
 from __future__ import annotations
@@ -28,7 +28,10 @@ from climber.verify_survival import Give, Need, shortages
 from climber.wall import Wall
 
 AROUND = 8  # directions in a plane
-SHORT = 0.03  # share by which a margin may be less than the greatest
+SHORT = {
+    2: 0.03,
+    3: 0.12,
+}  # share by which a margin may be less than the greatest, for robots in the plane and in space
 SMALLEST = 1e-4  # and by this, in its own unit
 UNSURVIVED = 1e-8  # [N, N m] what must be lacking at a greater error
 SPARSE = 10
@@ -361,7 +364,7 @@ class MarginChecks:
 
     def _open(self, kind: MarginKind, margin: PhaseMargin) -> bool:
         """Whether a margin is as great as they come, so that nothing is known of a worst case."""
-        return margin.value * (1.0 + SHORT) + SMALLEST >= MOST[kind]
+        return margin.value * (1.0 + SHORT[self._dimension]) + SMALLEST >= MOST[kind]
 
     def _errors(self, number: int) -> Iterator[Error]:
         """The errors that a phase claims to survive."""
@@ -429,7 +432,7 @@ class MarginChecks:
                 names = [contact.limb for contact in phase.contacts]
                 contact = names.index(margin.limb) if margin.limb in names else -1
                 direction = np.zeros(3) if margin.direction is None else np.array(margin.direction)
-                size = margin.value * (1.0 + SHORT) + SMALLEST
+                size = margin.value * (1.0 + SHORT[self._dimension]) + SMALLEST
                 needs.append(
                     self._phases[number].need(
                         int(rows[0]), self._phases[number].demand(Error(kind, size, direction, contact))

@@ -288,7 +288,7 @@ def with_margins(plan: Plan) -> Plan:
     robot = Robot(Model.load(own.model), wall.gravity)
     moving = [
         SimpleNamespace(
-            contacts=tuple(Contact(LIMBS.index(c.limb), c.hold) for c in phase.contacts),
+            contacts=tuple(Contact(own.limbs.index(c.limb), c.hold) for c in phase.contacts),
             samples=Samples(phase.time, phase.q, phase.v, phase.vd),
         )
         for phase in own.phases

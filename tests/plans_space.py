@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import cvxpy
 import numpy as np
-from plans import LIMBS, RATE, Line
+from plans import LIMBS, RATE, Line, with_margins
 from pydrake.multibody.tree import JacobianWrtVariable, MultibodyForces
 
 from climber.plan_file import Phase, PhaseContact, Plan, RobotPlan
@@ -260,4 +260,4 @@ def climb_plan(duration: float = 1.6) -> Plan:
         phases=tuple(phases),
     )
     text = INCUT.scenario("a step in space", CLIMB_ROBOT)
-    return Plan("scenarios/small.yaml", text, 7, (robot_plan,), {"climber": "0.1.0"}, {"total": 1.5})
+    return with_margins(Plan("scenarios/small.yaml", text, 7, (robot_plan,), {"climber": "0.1.0"}, {"total": 1.5}))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plans import LIMBS, QUADRUPED, edited, retold, step_plan
+from plans import LIMBS, QUADRUPED, edited, retold, step_plan, with_margins
 from plans_space import LEMUR, climb_plan
 
 from climber.exceptions import ModelError, PlanFileError
@@ -72,8 +72,6 @@ EXACTLY = [
     ("obstacle clearance", "scenario/text", told("0.2], radius: 0.05", "0.2], radius: 0.15")),
     ("obstacle clearance", "scenario/text", told("[0.6, 0.0]", "[0.15, 0.0]")),
     ("obstacle clearance", "scenario/text", told("[0.0, -0.5, 0.1]", "[0.0, -0.1, 0.1]")),
-    ("friction", "scenario/text", told("max_force: 60.0", "max_force: 24.0")),
-    ("friction, equilibrium", "scenario/text", told("friction: 0.7", "friction: 0.3")),
     ("dynamics at samples", f"{PHASE}/1/torque/40/2", plus(0.01)),
     ("dynamics at samples", f"{PHASE}/1/force/left_front/40/2", plus(0.01)),
 ]
@@ -82,6 +80,18 @@ EXACTLY = [
 @pytest.mark.parametrize(("checks", "path", "value"), EXACTLY)
 def test_one_changed_number_is_found_by_the_check_for_it_and_by_no_other(checks: str, path: str, value: object) -> None:
     assert failing(edited(climb_plan(), path, value)) == set(checks.split(", "))
+
+
+@pytest.mark.parametrize(
+    ("checks", "old", "new"),
+    [
+        ({"friction"}, "max_force: 60.0", "max_force: 24.0"),
+        ({"friction", "equilibrium"}, "friction: 0.7", "friction: 0.3"),
+    ],
+)
+def test_forces_that_holds_do_not_give_are_found(checks: set[str], old: str, new: str) -> None:
+    """On other holds, of whose margins the plan is right."""
+    assert failing(with_margins(retold(climb_plan(), old, new)).to_json()) == checks
 
 
 NUMBERS = st.one_of(

@@ -27,7 +27,8 @@ Mask = NDArray[np.bool_]
 
 LEVEL = 1e-9  # [N, N m] what forces may change a limit's row by and count as not changing it
 UNBALANCED = 1e-6  # [N, N m] imbalance that is the rounding of whoever made the motion
-ROOM = 1.0  # [N] the most room inside the limits that is looked for
+ROOM = 1e3  # [N] the most room inside the limits that is looked for
+NUDGE = 1e-6  # [N, N m]
 SPARSE = 8  # samples of which the middle of the limits is looked for at one
 
 
@@ -103,6 +104,10 @@ class Instants:
         """
         places = np.unique(np.concatenate([np.arange(len(self))[::SPARSE], self.starts[:-1], self.starts[1:] - 1]))
         best, depth = self[places].inmost()
+        known = np.isfinite(depth)
+        if known.any():  # what no forces are found for borrows them
+            nearest = np.abs(places[:, None] - places[known]).argmin(axis=1)
+            best, depth = best[known][nearest], depth[known][nearest]
         every = np.arange(len(self))
         after = np.clip(np.searchsorted(places, every), 1, len(places) - 1)
         before = after - 1
@@ -142,7 +147,9 @@ def solve_each(q: Vector, E: Vector, b: Vector, G: Vector, g: Vector) -> Vector:
     if found is not None:
         return found
     if len(q) == 1:
-        return np.full_like(q, np.nan)
+        # A hair's breadth of difference is enough for the solver to get on.
+        found = solve_blocks(None, q, E, b, G, g + NUDGE * np.arange(1, g.shape[1] + 1) / g.shape[1])
+        return np.full_like(q, np.nan) if found is None else found
     half = len(q) // 2
     parts = [solve_each(q[part], E[part], b[part], G[part], g[part]) for part in (slice(half), slice(half, None))]
     return np.concatenate(parts)
