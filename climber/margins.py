@@ -2,7 +2,7 @@
 
 The motion stays what it is planned to be; contact forces and torques may be others, within all limits. Each margin is
 the greatest error of one kind alone that every sample of the phase survives in this sense. A margin is proved at all
-samples by forces that balance and keep to the limits, and it is the greatest up to `programs.margins.GAP`, in space 10 %,
+samples by forces that balance and keep to the limits. It is the greatest up to `programs.margins.GAP`, in space 10 %,
 but for `place`, see `programs.place_margin`. Greater margins than `CAPS` are not told apart.
 """
 

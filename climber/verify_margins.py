@@ -5,13 +5,14 @@ forces that balance the robot, keep to what the holds can then give, and need no
 claim is tried at every sample (errors of a hold's place: at one in `SPARSE`) in `AROUND` directions: first with forces
 near ones well inside the limits, then near forces found for other samples; where these will not do, a conic program
 finds the least by which limits must be left. At the instant that the plan names as the worst, an error greater by a
-share of `SHORT` must not be survived, but for errors of a hold's place, of which the plan gives a lower bound only.
+share of `SHORT` must not be survived (in space with a little less friction), but for errors of a hold's place, of
+which the plan gives a lower bound only.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -32,6 +33,7 @@ SHORT = {
     2: 0.03,
     3: 0.12,
 }  # share by which a margin may be less than the greatest, for robots in the plane and in space
+NARROW = 0.02  # share of friction that a planner may leave unused which fits pyramids into cones in space
 SMALLEST = 1e-4  # and by this, in its own unit
 UNSURVIVED = 1e-8  # [N, N m] what must be lacking at a greater error
 SPARSE = 10
@@ -373,6 +375,8 @@ class MarginChecks:
         around = self._around(np.array([0.0, 0.0, 1.0]))
         for kind in MARGIN_KINDS:
             size = phase.margins[kind].value
+            if size == 0.0:  # nothing is claimed
+                continue
             if kind == "friction":
                 yield Error(kind, size, np.zeros(3))
             elif kind == "mass":
@@ -433,11 +437,10 @@ class MarginChecks:
                 contact = names.index(margin.limb) if margin.limb in names else -1
                 direction = np.zeros(3) if margin.direction is None else np.array(margin.direction)
                 size = margin.value * (1.0 + SHORT[self._dimension]) + SMALLEST
-                needs.append(
-                    self._phases[number].need(
-                        int(rows[0]), self._phases[number].demand(Error(kind, size, direction, contact))
-                    )
-                )
+                demand = self._phases[number].demand(Error(kind, size, direction, contact))
+                if not self._planar:
+                    demand = replace(demand, gives=tuple(give.slippery(NARROW) for give in demand.gives))
+                needs.append(self._phases[number].need(int(rows[0]), demand))
                 labels.append(f"{self._label(number, kind)}: {size:.4g} is survived at t = {margin.time:.4f} s")
         _, lacking = _in_parts(needs, self._dimension)
         self._ledger.faults(
