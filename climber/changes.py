@@ -16,6 +16,7 @@ import numpy as np
 import shapely
 from scipy.stats import qmc
 from shapely.geometry import MultiPoint, Point
+from shapely.geometry.base import BaseGeometry
 
 from climber.blocked import Frontier
 from climber.exceptions import ClimberError
@@ -231,11 +232,16 @@ class ChangeFinder:
             if self._late():
                 break
             tried += 1
-            hold = replace(self.new_hold, position=(float(place[0]), float(place[1]), 0.0))
+            hold = replace(self.new_hold, position=(float(place[0]), float(place[1]), self._height(place)))
             moves = self._moves(replace(wall, holds=(*wall.holds, hold)))
             if moves is not None:
                 good.append(Change("hold", moves, (number,), hold))
         return sorted(good, key=lambda change: change.moves), tried
+
+    def _height(self, place: Vector) -> float:
+        """How far out of the wall plane a hold at a place would stick, which is as far as the one nearest to it [m]."""
+        positions = self.climb.wall.positions
+        return float(positions[np.linalg.norm(positions[:, :2] - place, axis=1).argmin(), 2])
 
     def _places(self, frontier: Frontier, target: Target) -> Iterator[Vector]:
         """Places spread evenly over the gap from the frontier to the target, on no other hold and in no obstacle."""
@@ -243,7 +249,7 @@ class ChangeFinder:
         holds = [*frontier.stances[0].holds, *target.demanded]
         gap = MultiPoint(wall.positions[holds, :2])
         if target.region is not None:
-            gap = gap.union(target.region)
+            gap = gap.union(target.region if isinstance(target.region, BaseGeometry) else target.region.outline())
         area = gap.convex_hull.buffer(reach / 2)
         x0, y0, x1, y1 = area.bounds
         halton = qmc.Halton(2, rng=self.rng)
@@ -253,7 +259,8 @@ class ChangeFinder:
             apart = np.linalg.norm(wall.positions[:, :2] - place, axis=1)
             widths = np.array([hold.half_width for hold in wall.holds]) + self.new_hold.half_width
             free = (apart > np.maximum(widths, 1e-3)).all() and shapely.contains_xy(area, *place)
-            if free and not any(obstacle.intersects(Point(*place)) for obstacle in wall.obstacles):
+            free &= not any(obstacle.intersects(Point(*place)) for obstacle in wall.obstacles)
+            if free and not any(rock.distance(np.append(place, self._height(place))) == 0.0 for rock in wall.rock):
                 yield np.round(place, 4)
                 given += 1
                 if given == PLACES:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
+from climber.balls import balls_meet
 from climber.blocked import Blocked, Frontier, GivenUp, on_holds
-from climber.geometry import TOUCH, disks_meet
+from climber.geometry import TOUCH
 from climber.reachable import Reached, RelaxedClimb, Target
 from climber.relaxed import Check, RelaxedChecks, reach_lacking
+from climber.solids import away
 from climber.stance import Move, Stance, Vector
 
 STANCES = 6  # of the frontier, from which moves onwards are looked at
@@ -20,13 +21,12 @@ HOLDS = 6  # looked at for each limb of such a stance
 
 
 def from_target(target: Target, positions: Vector, points: Vector) -> Vector:
-    """Distance of points, shape (..., 2), from the middle of a target's holds, or else from its region [m]."""
+    """Distance of points, shape (..., d), from the middle of a target's holds, or else from its region [m]."""
     if target.demanded:
         result: Vector = np.linalg.norm(points - positions[list(target.demanded)].mean(axis=0), axis=-1)
         return result
     assert target.region is not None
-    away: Vector = shapely.distance(target.region, shapely.points(points))
-    return away
+    return away(target.region, points)
 
 
 class FrontierFinder:
@@ -41,7 +41,7 @@ class FrontierFinder:
     def __init__(self, climb: RelaxedClimb, reached: Reached, barred: Mapping[int, GivenUp] | None = None) -> None:
         self.climb, self.reached, self.barred = climb, reached, dict(barred or {})
         self.checks = RelaxedChecks(climb.wall, climb.robot, climb.robot.limb_names, climb.avoid)
-        self.positions = climb.wall.positions[:, :2]
+        self.positions = climb.wall.positions[:, : climb.robot.dimension]
 
     # --- the target --------------------------------------------------------------------------------------------------
 
@@ -67,7 +67,8 @@ class FrontierFinder:
 
     def _ways_round(self, holds: tuple[int, ...]) -> list[Stance]:
         """The holds counter-clockwise around their middle, with every limb at the first in turn."""
-        offsets = self.positions[list(holds)] - self.positions[list(holds)].mean(axis=0)
+        seen = self.climb.wall.projected(np.array(holds))
+        offsets = seen - seen.mean(axis=0)
         around = np.array(holds)[np.argsort(np.arctan2(offsets[:, 1], offsets[:, 0]), kind="stable")]
         return [Stance(tuple(np.roll(around, shift).tolist())) for shift in range(len(holds))]
 
@@ -85,8 +86,8 @@ class FrontierFinder:
         """
         assert target.region is not None
         stances, radii = self._stances(), np.asarray(self.climb.robot.reach)
-        away = shapely.distance(target.region, shapely.points(self.positions))
-        bound = (away[stances] - radii).max(axis=1)
+        distances = away(target.region, self.positions)
+        bound = (distances[stances] - radii).max(axis=1)
         best, found = np.inf, 0
         for place in np.argsort(bound, kind="stable").tolist():
             if bound[place] >= best:
@@ -125,7 +126,7 @@ class FrontierFinder:
         reach = np.append(radii, radii[limb])
         if len(radii) == 2:  # it hangs from one meanwhile, and swings round
             feet, reach = np.delete(feet, limb, axis=1), np.delete(reach, limb)
-        near = others[disks_meet(self.positions[feet], reach)].tolist()
+        near = others[balls_meet(self.positions[feet], reach)].tolist()
         if near:
             return list(near)
         staying = self.positions[np.delete(stance.holds, limb)].mean(axis=0)

@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from shapely.geometry.base import BaseGeometry
 
 from climber.geometry import Mask
 from climber.graph import StanceGraph, build_stance_graph
@@ -22,6 +21,7 @@ from climber.prune import impossible_moves
 from climber.robot import Model, Robot
 from climber.scenario import Scenario, check_against_robot
 from climber.scenario_fields import CostWeights, Place
+from climber.solids import Region
 from climber.stance import Stance
 from climber.wall import Wall
 
@@ -43,7 +43,7 @@ class Target:
     name: str
     holds: tuple[int, ...] | None
     stance: Stance | None
-    region: BaseGeometry | None
+    region: Region | None
 
     @classmethod
     def of(cls, place: Place, name: str, limbs: Sequence[str]) -> Target:

@@ -13,18 +13,20 @@ from itertools import product
 from typing import Any, Literal
 
 import numpy as np
-from shapely.geometry.base import BaseGeometry
 
-from climber.geometry import TOUCH, Mask, common_points, disks_meet, disks_meet_region
+from climber.balls import balls_meet, balls_meet_region, shared_points
+from climber.geometry import TOUCH, Mask
 from climber.graph import GraphRobot
 from climber.moves import OVERLAP
 from climber.polygon import crossing_sides, in_order, out_of_order_anywhere, swaps, worst_corner
 from climber.programs.equilibrium import SupportProgram
 from climber.programs.forces import weight_in_plane
+from climber.programs.regions import contact_regions
 from climber.programs.support import contact_intervals
+from climber.solids import Region
 from climber.stance import Contact, Move, Stance, Vector
 from climber.wall import Wall
-from climber.words import certificate_told, length, listed, spoken
+from climber.words import certificate_told, force, length, listed, spoken
 
 CheckName = Literal["reach", "region", "order", "support", "balance", "avoid"]
 
@@ -34,7 +36,7 @@ class Check:
     """One relaxed check and how it went.
 
     Attributes:
-        name: Which check: "reach" (disks meet, eqs. 4.2 and 4.7), "region" (disks meet a region), "order" (feet around
+        name: Which check: "reach" (balls meet, eqs. 4.2 and 4.7), "region" (balls meet a region), "order" (feet around
             a strictly convex polygon in limb order, 4.6), "support" (forces balance gravity at all), "balance" (the
             centre of mass can be over two sets of contacts at once, 4.17), "avoid" (a hold that is barred).
         subject: What was checked, as a phrase.
@@ -65,20 +67,20 @@ class Check:
         return facts | self.numbers
 
 
-def reach_lacking(centers: Vector, radii: Vector, region: BaseGeometry | None = None) -> tuple[float, Vector | None]:
-    """By how much all radii must grow for disks to have a common point, inside a region if one is given.
+def reach_lacking(centers: Vector, radii: Vector, region: Region | None = None) -> tuple[float, Vector | None]:
+    """By how much all radii must grow for balls, or disks, to have a common point, inside a region if one is given.
 
-    For equal radii and no region that is the radius of the smallest circle around the centres less the disks' own.
-    Monotone in the growth, so bisection over the exact test finds it.
+    For equal radii and no region that is the radius of the smallest ball around the centres less the balls' own.
+    Monotone in the growth, so bisection over the test finds it.
 
     Args:
-        centers: Shape (k, 2) [m].
+        centers: Shape (k, 3), or (k, 2) in the wall plane [m].
         radii: Shape (k,) [m].
-        region: In the plane of the centres [m].
+        region: Where the common point is to be, see `balls_meet_region`.
 
     Returns:
-        The growth [m], negative if the disks overlap to spare, and the common point at that growth, shape (2,), where
-        there is one to tell (not with a region).
+        The growth [m], negative if the balls overlap to spare, and the common point at that growth, shape (3,) or (2,),
+        where there is one to tell (not with a region).
     """
     low, high = -float(radii.min()), 1.0
     while not _meet(centers, radii, np.array([high]), region)[0]:
@@ -88,18 +90,18 @@ def reach_lacking(centers: Vector, radii: Vector, region: BaseGeometry | None = 
         met = np.append(_meet(centers, radii, steps, region), True)
         first = int(met.argmax())
         low, high = [low, *steps][first], [*steps, high][first]
-    point = None if region is not None else common_points(centers[None], radii + high + TOUCH)[0]
+    point = None if region is not None else shared_points(centers[None], radii + high + TOUCH)[0]
     return float(high), point
 
 
-def _meet(centers: Vector, radii: Vector, growths: Vector, region: BaseGeometry | None) -> Mask:
-    """Whether disks grown by each of several amounts have a common point, in the region if there is one."""
+def _meet(centers: Vector, radii: Vector, growths: Vector, region: Region | None) -> Mask:
+    """Whether balls grown by each of several amounts have a common point, in the region if there is one."""
     if region is None:
         grown = radii + growths[:, None]
-        points = common_points(np.repeat(centers[None], len(growths), axis=0), grown)
+        points = shared_points(np.repeat(centers[None], len(growths), axis=0), grown)
         meet: Mask = ~np.isnan(points[:, 0]) & np.greater_equal(grown.min(axis=1), 0.0)
         return meet
-    return np.array([disks_meet_region(centers[None], radii + g, region)[0] for g in growths.tolist()], dtype=bool)
+    return np.array([balls_meet_region(centers[None], radii + g, region)[0] for g in growths.tolist()], dtype=bool)
 
 
 class RelaxedChecks:
@@ -114,8 +116,8 @@ class RelaxedChecks:
     def __init__(self, wall: Wall, robot: GraphRobot, limbs: Sequence[str], avoid: Sequence[int] = ()) -> None:
         self.wall, self.limbs, self.avoid = wall, tuple(limbs), frozenset(avoid)
         self._reach = np.asarray(robot.reach, dtype=float)
-        self._mass = robot.mass
-        self._positions = wall.positions[:, :2]
+        self._mass, self._space = robot.mass, robot.dimension == 3
+        self._positions = wall.positions[:, : robot.dimension]
 
     # --- one check each ----------------------------------------------------------------------------------------------
 
@@ -125,7 +127,7 @@ class RelaxedChecks:
         centers, radii = self._positions[holds], self._reach[limbs]
         names = [self.limbs[i] for i in limbs]
         numbers: dict[str, Any] = {"holds": holds, "limbs": names, "reach": radii.tolist()}
-        if disks_meet(centers[None], radii)[0]:
+        if balls_meet(centers[None], radii)[0]:
             return Check("reach", subject, True, 0.0, "m", f"{subject} is within reach", numbers=numbers)
         lacking, point = reach_lacking(centers, radii)
         assert point is not None
@@ -135,19 +137,20 @@ class RelaxedChecks:
         if np.ptp(radii) <= TOUCH:
             radius = lacking + float(radii[0])
             numbers["enclosing_radius"] = radius
+            ball = "ball" if self._space else "circle"
             sentence += (
-                f": the smallest circle around {on} has a radius of {length(radius)}, the reach is {length(radii[0])}"
+                f": the smallest {ball} around {on} has a radius of {length(radius)}, the reach is {length(radii[0])}"
             )
         else:
             sentence += f": no place of the pelvis is near enough to {on} at once"
         anywhere = lacking > max(self.wall.holds[hold].half_width for hold in holds)
         return Check("reach", subject, False, lacking, "m", sentence, anywhere, numbers)
 
-    def region(self, stance: Stance, region: BaseGeometry, subject: str) -> Check:
-        """Whether the pelvis can be in a region of the wall plane while the limbs reach their holds."""
+    def region(self, stance: Stance, region: Region, subject: str) -> Check:
+        """Whether the pelvis can be in a region while the limbs reach their holds."""
         centers = self._positions[list(stance.holds)]
         numbers: dict[str, Any] = {"holds": list(stance.holds)}
-        if disks_meet_region(centers[None], self._reach, region)[0]:
+        if balls_meet_region(centers[None], self._reach, region)[0]:
             sentence = f"on {subject} the pelvis can be in the region as far as reach goes"
             return Check("region", subject, True, 0.0, "m", sentence, numbers=numbers)
         lacking, _ = reach_lacking(centers, self._reach, region)
@@ -158,7 +161,7 @@ class RelaxedChecks:
     def order(self, stance: Stance, subject: str) -> Check:
         """Whether the feet are in limb order around a strictly convex polygon, so that no limbs cross."""
         holds, names = stance.holds, [spoken(name) for name in self.limbs]
-        points = self._positions[list(holds)]
+        points = self.wall.projected(np.array(holds)) if self._space else self._positions[list(holds)]
         numbers: dict[str, Any] = {"holds": list(holds)}
         worst = worst_corner(points)
         if worst is None or in_order(points):
@@ -179,13 +182,18 @@ class RelaxedChecks:
             f"hold {holds[a]} to {names[c]} on hold {holds[c]}"
         )
         widths = np.array([self.wall.holds[hold].half_width for hold in holds])
-        anywhere = out_of_order_anywhere(points, widths[:, None] * self.wall.tangents[list(holds), :2])
+        if self._space:  # neither foot nor line comes nearer than by the width of a patch
+            anywhere = bool(amount > 2.0 * widths.max())
+        else:
+            anywhere = out_of_order_anywhere(points, widths[:, None] * self.wall.tangents[list(holds), :2])
         return Check("order", subject, False, amount, "m", sentence, anywhere, numbers)
 
     def support(self, feet: Sequence[tuple[int, int]], subject: str) -> Check:
         """Whether forces of the feet, given as (limb, hold), balance gravity for some centre of mass."""
         contacts = [Contact(limb, hold) for limb, hold in feet]
         holds = [c.hold for c in contacts]
+        if self._space:
+            return self._support_in_space(contacts, subject)
         lower, upper = contact_intervals(self.wall, [contacts], self._mass)[0]
         if not np.isnan(lower):
             sentence = f"{subject} can carry the robot with its centre of mass at x from {lower:.4f} to {upper:.4f} m"
@@ -212,8 +220,32 @@ class RelaxedChecks:
         # Where on a patch a foot stands matters for torques only, and the certificate is about forces.
         return Check("support", subject, False, shortfall, "N", sentence, True, numbers)
 
+    def _support_in_space(self, contacts: Sequence[Contact], subject: str) -> Check:
+        """`support` of a robot in space."""
+        region = contact_regions(self.wall, [contacts], self._mass, 3)
+        numbers: dict[str, Any] = {"holds": [c.hold for c in contacts]}
+        if not region.empty[0]:
+            wide, deep = (length(size) for size in np.ptp(region.corners[0], axis=0))
+            sentence = f"{subject} can carry the robot with its centre of mass in a region of {wide} by {deep}"
+            numbers["polygon"] = region.corners[0].tolist()
+            return Check("support", subject, True, 0.0, "N", sentence, numbers=numbers)
+        direction, turning, shortfall = region.direction[0], float(region.turning[0]), float(region.shortfall[0])
+        weight = self._mass * float(np.linalg.norm(self.wall.gravity))
+        numbers |= {"weight": weight, "direction": direction.tolist(), "turning": turning, "shortfall": shortfall}
+        along = ", ".join(f"{part + 0.0:.3f}" for part in np.round(direction, 3))
+        asked = -self._mass * float(direction @ self.wall.gravity)
+        sentence = f"the forces on {subject} cannot balance gravity: along ({along})"
+        if abs(turning) > 1e-6:
+            sentence += f", and turning about gravity by {turning:.3g} to the metre,"
+        sentence += f" they come to {force(asked - shortfall)} at most and the weight takes {force(asked)}"
+        # Where on a patch a foot stands matters for torques only.
+        return Check("support", subject, False, shortfall, "N", sentence, abs(turning) <= 1e-6, numbers)
+
     def balance(self, move: Move, after: bool) -> Check:
-        """Whether the centre of mass can be over the limbs that stay and over all limbs, at one end of a move."""
+        """Whether the centre of mass can be over the limbs that stay and over all limbs, at one end of a move.
+
+        In space all limbs can hold it wherever those that stay can, for all that this check asks.
+        """
         staying = [(i, hold) for i, hold in enumerate(move.start.holds) if i != move.limb]
         moving = (move.limb, move.hold if after else move.released)
         name = spoken(self.limbs[move.limb])
@@ -222,6 +254,8 @@ class RelaxedChecks:
             if after
             else (f"the move's start, as {name} lets go of hold {move.released}")
         )
+        if self._space:
+            return Check("balance", subject, True, 0.0, "m", f"the support at {subject} is shared")
         (lower, upper), (lower_all, upper_all) = self._intervals(staying, moving, [0.0] * (len(staying) + 1))
         gap = max(lower, lower_all) - min(upper, upper_all)
         numbers = {
