@@ -161,7 +161,7 @@ class Loop:
         if arriving is None or self.world.wall.holds[arriving[1]].grip == "pin":
             return 0.0
         limb, hold = arriving
-        place, _, _ = self.world.foot(watch.number, limb)
+        place, _ = self.world.foot(watch.number, limb)
         return float(self.world.wall.normals[hold] @ (place - self.world.wall.positions[hold]))
 
     def _tick(self) -> None:

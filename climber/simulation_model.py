@@ -36,6 +36,7 @@ FOOT_RADIUS = 0.0005  # [m]
 THICKNESS = 0.004  # of the boxes [m]
 RIM = 0.002  # the box reaches this far beyond the patch, so that a foot at its edge does not stand on an edge [m]
 DEPTH = 0.005  # least half extent of the box across the wall plane [m]
+STEPS = 2  # of the plant to one of the controllers; feet that should stick creep in proportion to the plant's step
 STIFFNESS = 1e7  # of a contact [N/m]; beyond what Drake's solver resolves in a step, so that it is nearly rigid
 RELAXATION = 1e-3  # time in which an overlap goes down [s]
 
@@ -63,7 +64,7 @@ class World:
     Attributes:
         robots: The robots; their own plants have no contact.
         wall: The wall as it really is, holds displaced and friction scaled.
-        time_step: Of the simulation [s].
+        time_step: From one command to the next [s]; the plant's own steps are shorter.
         plant: The plant that holds them all.
     """
 
@@ -81,12 +82,12 @@ class World:
             wall: The wall as it really is.
             robots: The robots.
             pins: Every grip on a pin that there will ever be; its point is where the pin's ball is.
-            time_step: Of the simulation [s].
+            time_step: From one command to the next [s].
             mass_scale: Masses and inertias of all bodies, relative to the models'.
         """
         self.wall, self.robots, self.time_step = wall, tuple(robots), time_step
         builder: Any = DiagramBuilder()
-        self.plant = builder.AddSystem(MultibodyPlant(time_step))
+        self.plant = builder.AddSystem(MultibodyPlant(time_step / STEPS))
         self._scene_graph = builder.AddSystem(SceneGraph())
         # Models first, geometry after: only what is added by hand can touch.
         self._instances = [robot.model.add_to(self.plant, None, f"robot_{i}") for i, robot in enumerate(robots)]
@@ -217,7 +218,8 @@ class World:
         for frame, pull in self._pulls:
             every += self._jacobian(frame).T @ pull
         self._applied.GetMutableData().get_mutable_value().set_value(every)
-        self._root.SetDiscreteState(self._diagram.EvalUniquePeriodicDiscreteUpdate(self._root))
+        for _ in range(STEPS):
+            self._root.SetDiscreteState(self._diagram.EvalUniquePeriodicDiscreteUpdate(self._root))
 
     def _jacobian(self, frame: Any) -> Vector:
         """Of the origin of a frame by the plant's velocities, shape (3, nv)."""
@@ -226,11 +228,11 @@ class World:
         result: Vector = self.plant.CalcJacobianTranslationalVelocity(self.context, wrt, frame, origin, world, world)
         return result
 
-    def foot(self, robot: int, limb: int) -> tuple[Vector, Vector, Vector]:
-        """Place of a foot's centre, its velocity and its angular velocity in W [m, m/s, rad/s], shape (3,) each."""
+    def foot(self, robot: int, limb: int) -> tuple[Vector, Vector]:
+        """Place of a foot's centre in W [m] and its angular velocity [rad/s], shape (3,) each."""
         frame = self._frames[robot][limb]
-        velocity = frame.CalcSpatialVelocityInWorld(self.context)
-        return frame.CalcPoseInWorld(self.context).translation(), velocity.translational(), velocity.rotational()
+        turning = frame.CalcSpatialVelocityInWorld(self.context).rotational()
+        return frame.CalcPoseInWorld(self.context).translation(), turning
 
 
 class _Friction:

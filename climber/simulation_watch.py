@@ -32,22 +32,21 @@ class Footing:
     def __init__(self, wall: Wall, number: int) -> None:
         """A foot that is about to take hold of hold `number`."""
         self._hold, self._normal, self._center = wall.holds[number], wall.normals[number], wall.positions[number]
-        # The contact point moves along the hold with P (v - r w x n), P the projection across the normal.
         x, y, z = self._normal
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         self._across = np.eye(3) - np.outer(self._normal, self._normal)
-        self._slide = np.hstack([self._across, FOOT_RADIUS * self._across @ cross])
+        self._roll = FOOT_RADIUS * cross  # times the angular velocity: how fast the contact point moves by turning
         self.slip, self.lost = 0.0, False
-        self._taken: Vector | None = None  # how far the contact point has moved; for a pin, where it was taken
+        self._taken: Vector | None = None  # where the foot took hold
+        self._rolled = np.zeros(3)  # by how much the contact point has moved since by turning
 
-    def look(self, place: Vector, velocity: Vector, turning: Vector, step: float) -> None:
+    def look(self, place: Vector, turning: Vector, step: float) -> None:
         """Looks at the foot after a step of `step` [s].
 
         Args:
             place: Where its centre is in W [m], shape (3,).
-            velocity: Its velocity [m/s], shape (3,).
             turning: Its angular velocity [rad/s], shape (3,).
-            step: How long it has had these velocities [s].
+            step: How long it has turned so [s].
         """
         away = place - self._center
         gap = float(self._normal @ away)
@@ -59,11 +58,11 @@ class Footing:
         reach = self._hold.half_width + RIM
         self.lost = gap > OFF or math.hypot(*(self._across @ away)) > reach
         if self._taken is None:
-            if gap > 0.0:
-                return
-            self._taken = np.zeros(3)
-        self._taken = self._taken + step * (self._slide @ np.concatenate([velocity, turning]))
-        self.slip = math.hypot(*self._taken)
+            if gap <= 0.0:
+                self._taken = place
+            return
+        self._rolled += step * (self._roll @ turning)
+        self.slip = math.hypot(*(self._across @ (place - self._taken + self._rolled)))
 
 
 class Watch:
@@ -104,8 +103,7 @@ class Watch:
         footing = self._footings.get(limb)
         if footing is None:
             footing = self._footings[limb] = Footing(world.wall, number)
-        place, velocity, turning = world.foot(self.number, limb)
-        footing.look(place, velocity, turning, world.time_step)
+        footing.look(*world.foot(self.number, limb), world.time_step)
         name = self.controller.robot.limb_names[limb]
         if footing.lost:
             self.fell = self.fell or f"{name} has left hold {number} at {now:.2f} s"
