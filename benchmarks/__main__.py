@@ -35,6 +35,7 @@ ARGUMENTS = {
     "refine": ("--legs 20", "--legs 3"),
     "solve": ("", "--quick"),
     "simulate": ("", "--quick"),
+    "equilibrium3": ("", "--sets 2000 --one-by-one 50 --peer-sets 100"),
 }
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 SOFTWARE = ("climber-drake", "drake", "clingo", "numpy", "scipy", "ompl")

@@ -53,6 +53,7 @@ class Quadruped:
     reach: Vector
     symmetries: tuple[tuple[int, ...], ...] = ((0, 1, 2, 3), (2, 3, 0, 1))
     mass: float = 2.0
+    dimension: int = 2
 
 
 def ours(data: dict) -> tuple[StanceGraph, float]:

@@ -52,6 +52,7 @@ class Quadruped:
     reach: Vector
     symmetries: tuple[tuple[int, ...], ...] = ((0, 1, 2, 3), (2, 3, 0, 1))
     mass: float = 2.0
+    dimension: int = 2
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems import EQUILIBRIUM_PROBLEMS, MASS_OF_20_N, EquilibriumProblem, hold, random_wall
+from scipy.optimize import linprog
 from test_forces import SECTIONS, holds_in_space
 
 from climber.programs.equilibrium import RegionProgram
 from climber.programs.forces import wall_forces
-from climber.programs.regions import contact_regions, hold_set_regions, hold_set_supports, hold_sets_carried
+from climber.programs.regions import (
+    contact_regions,
+    hold_set_regions,
+    hold_set_supports,
+    hold_sets_carried,
+    hold_sets_hold,
+)
 from climber.programs.sections import EXACT, Section
 from climber.programs.support import hold_set_intervals
 from climber.programs.wrenches import across
-from climber.stance import Contact
+from climber.stance import Contact, Vector
 from climber.wall import GRAVITY, Hold, Wall
 
 seeds = st.integers(0, 2**32 - 1)
@@ -279,3 +286,57 @@ def test_without_gravity_there_is_no_polygon() -> None:
     wall = Wall((hold(0, 0),))
     with pytest.raises(ValueError, match="anywhere"):
         hold_set_regions(wall, np.array([[0]]), 0.0, 3)
+
+
+# --- Against another statement of it ----------------------------------------------------------------------------------
+
+
+def by_generators(points: Vector, normals: Vector, friction: float, center: Vector, edges: int) -> bool:
+    """Whether nonnegative forces along the edges of inscribed pyramids balance a weight along -z: a linear program."""
+    columns = []
+    for point, normal in zip(points, normals, strict=True):
+        tangents = np.linalg.svd(normal[None])[2][1:]
+        for angle in np.arange(edges) * 2 * np.pi / edges:
+            f = normal + friction * (np.cos(angle) * tangents[0] + np.sin(angle) * tangents[1])
+            columns.append([*f, *np.cross(point - center, f)])
+    answer = linprog(np.zeros(len(columns)), A_eq=np.array(columns).T, b_eq=[0, 0, 1.0, 0, 0, 0])
+    assert answer.status in (0, 2)
+    return bool(answer.status == 0)
+
+
+def test_on_a_thousand_sets_of_contacts_only_the_side_that_pyramids_err_on_tells_them_from_cones() -> None:
+    """Inscribed pyramids hold no more than cones, and all that cones of so much less friction as fit in them hold."""
+    rng, edges, per_wall = np.random.default_rng(1), 8, 50
+    held, differ = 0, 0
+    for _ in range(1000 // per_wall):
+        wall = replace(climbable(rng, 40), inclination_deg=0.0)  # its gravity is along -z
+        turned = np.column_stack([wall.normals[:, 0], -wall.normals[:, 2], wall.normals[:, 1]])
+        friction = float(rng.uniform(0.1, 1.0))
+        sets = np.array([rng.choice(40, int(rng.integers(3, 5)), replace=False)[:3] for _ in range(per_wall)])
+        centers = wall.positions[sets].mean(axis=1) + rng.uniform(-0.15, 0.15, (per_wall, 3))
+
+        def cones(friction: float, wall: Wall = wall, normals: Vector = turned) -> Wall:
+            holds = zip(wall.positions.tolist(), normals.tolist(), strict=True)
+            return replace(wall, holds=tuple(Hold(tuple(p), tuple(n), friction, max_force=1e4) for p, n in holds))
+
+        fit = friction * np.cos(np.pi / edges)
+        most, least = (hold_sets_hold(cones(mu), sets, 2.0, centers, 3) for mu in (friction + 1e-5, fit - 1e-5))
+        assert (least <= most).all()
+        for s, center, may, must in zip(sets, centers, most, least, strict=True):
+            answer = by_generators(wall.positions[s], turned[s], friction, center, edges)
+            assert must <= answer <= may
+            held, differ = held + answer, differ + (may != must)
+    assert 100 < held < 900 and differ < 100
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_what_is_held_is_what_regions_contain(dimension: int) -> None:
+    rng = np.random.default_rng(4)
+    wall = random_wall(rng, 30) if dimension == 2 else climbable(rng, 30)
+    sets = np.array([rng.choice(30, 4, replace=False) for _ in range(100)])
+    centers = rng.uniform(-0.4, 0.8, (100, 3)) * [1.0, 1.0, 0.2]
+    margin = hold_set_regions(wall, sets, 2.0, dimension, gap=1e-5).margin(centers)
+    held = hold_sets_hold(wall, sets, 2.0, centers, dimension)
+    clear = np.abs(margin) > 2e-5
+    np.testing.assert_array_equal(held[clear], margin[clear] > 0.0)
+    assert 5 < held.sum() < 95

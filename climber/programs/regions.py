@@ -129,6 +129,23 @@ def hold_sets_carried(
     return carried
 
 
+def hold_sets_hold(
+    wall: Wall, sets: NDArray[np.integer], mass: float, centers: Vector, dimension: int = 2, section: Section = EXACT
+) -> Mask:
+    """Whether a robot on each set of holds, shape (M, k), is held with its centre of mass in a place of W, (M, 3)."""
+    forces, pull = wall_forces(wall, dimension, section), mass * wall.gravity
+    if dimension == 2:
+        ends = support_intervals(wall.positions[sets], forces[sets], weight_in_plane(wall, mass))
+        return np.asarray((ends[:, 0] <= centers[:, 0]) & (centers[:, 0] <= ends[:, 1]))
+    held = np.zeros(len(sets), dtype=bool)
+    for first in range(0, len(sets) if sets.size else 0, CHUNK):
+        rows = slice(first, first + CHUNK)
+        wrenches = Wrenches.of(wall.positions[sets[rows]], forces[sets[rows]], pull)
+        _, most, _, _ = wrenches.with_center(across(pull) @ centers[rows].T).capacity(decided=True)
+        held[rows] = most >= 1.0 - BALANCE
+    return held
+
+
 def hold_set_supports(
     wall: Wall,
     sets: NDArray[np.integer],

@@ -151,6 +151,11 @@ class Wrenches:
         point = origin + np.einsum("icmn,cmn->in", self.place[..., sets], found.x)
         return point.T, found.bound + (direction.T * origin).sum(axis=0)
 
+    def with_center(self, place: Vector) -> Wrenches:
+        """The same with the centre of mass tied to a place, in the coordinates of `across` [m], shape (2, M)."""
+        E = np.concatenate([self.E, self.place / self.arm])
+        return replace(self, E=E, b=np.concatenate([self.b, (place - self.origin) / self.arm]))
+
     def widened(self, by: Vector) -> Wrenches:
         """The same with limits wider by a fraction of their range, shape (M,)."""
         return replace(self, E=self.E * (1.0 + by), place=self.place * (1.0 + by))
