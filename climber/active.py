@@ -21,7 +21,7 @@ NEAR = 0.08  # of the robot's weight, the farthest that a contact force is from 
 def active_intervals(
     body: Body,
     contacts: Sequence[Contact],
-    legs: Sequence[FastLeg],
+    leg: FastLeg,
     limits: RateLimits,
     samples: Samples,
     instants: Instants,
@@ -32,14 +32,14 @@ def active_intervals(
     Args:
         body: The robot.
         contacts: The contacts that hold.
-        legs: The legs of the motion.
+        leg: The leg.
         limits: Those on its rates.
         samples: The motion.
         instants: Its equations of motion.
         t: The forces that make it, shape (K, n).
     """
     time, found = samples.time, []
-    active = _active(legs, time)
+    active = _active(leg, time)
     for name in sorted(frozenset().union(*active)):
         there = np.array([name in names for names in active])
         there &= _in_use(name, body, contacts, limits, samples, instants, t)
@@ -48,19 +48,13 @@ def active_intervals(
     return tuple(sorted(found))
 
 
-def _active(legs: Sequence[FastLeg], time: Vector) -> list[frozenset[str]]:
+def _active(leg: FastLeg, time: Vector) -> list[frozenset[str]]:
     """What the program found active nearest to each instant, shape (K,)."""
-    ends = np.cumsum([leg.duration for leg in legs])
-    which = np.minimum(np.searchsorted(ends, time), len(legs) - 1)
-    since, result = time - np.concatenate([[0.0], ends])[which], []
-    for number, leg in enumerate(legs):
-        x, _, _ = leg.law.at(np.minimum(since[which == number], leg.duration))
-        nearest = np.abs(leg.x - x[:, None]).argmin(axis=1)
-        own = leg.scaling.active
-        # What is active at one place and at the next but one is so in between, whatever the solver's last digit says.
-        around = [frozenset().union(*own[max(0, i - 1) : i + 2]) for i in range(len(own))]
-        result += [around[i] for i in nearest]
-    return result
+    own = leg.scaling.active
+    # What is active at one place and at the next but one is so in between, whatever the solver's last digit says.
+    around = [frozenset().union(*own[max(0, i - 1) : i + 2]) for i in range(len(own))]
+    x, _, _ = leg.law.at(time)
+    return [around[i] for i in np.abs(leg.x - x[:, None]).argmin(axis=1)]
 
 
 def _in_use(

@@ -41,6 +41,7 @@ RESERVE = 0.7  # share of the accelerations that contacts and motors could make 
 INTERVALS = 20.0  # of the speed profile, per second at full joint rates
 FEWEST_AND_MOST = (16, 80)  # of these intervals
 OVERSHOOT = (1.02, 1.06, 1.4)  # times the limits of speed, acceleration and jerk that samples may have
+STILL = 80.0  # b that a leg of the shortest duration could have within its rate limits, if it is as good as still
 SHORTEST = 0.1  # [s] that any leg takes
 
 
@@ -151,7 +152,9 @@ def warp(z: Vector) -> tuple[Vector, Vector, Vector]:
     return z**3 * (10 - 15 * z + 6 * z**2), 30 * z**2 * (1 - z) ** 2, 60 * z * (1 - z) * (1 - 2 * z)
 
 
-def fastest_leg(body: Body, contacts: Sequence[Contact], path: PacedPath, limits: RateLimits) -> FastLeg | str | None:
+def fastest_leg(
+    body: Body, contacts: Sequence[Contact], path: PacedPath, limits: RateLimits, finer: int = 1
+) -> FastLeg | str | None:
     """The leg timed.
 
     Args:
@@ -159,6 +162,7 @@ def fastest_leg(body: Body, contacts: Sequence[Contact], path: PacedPath, limits
         contacts: The contacts that hold.
         path: The leg.
         limits: On rates.
+        finer: Times as many places are looked at.
 
     Returns:
         The leg; or why it has no timing, however slow; or None if Clarabel found none although there is one.
@@ -167,7 +171,7 @@ def fastest_leg(body: Body, contacts: Sequence[Contact], path: PacedPath, limits
         ModelError: If a joint without a motor is damped.
     """
     length = max(PEAK * path.length, SHORTEST)
-    intervals = int(np.clip(np.ceil(INTERVALS * length), *FEWEST_AND_MOST))
+    intervals = finer * int(np.clip(np.ceil(INTERVALS * length), *FEWEST_AND_MOST))
     profile = SpeedProfile(length, intervals)
     x = np.linspace(0.0, length, 2 * intervals + 1)
     place, first, second = warp(x / length)
@@ -183,7 +187,10 @@ def fastest_leg(body: Body, contacts: Sequence[Contact], path: PacedPath, limits
             at = tight[lacking[0]] / (len(x) - 1)
             return f"the robot cannot stand still at {at:.0%} of the way: {lacking[1]}"
         t[tight] = torque_blocks.least_violation(standing[tight])[0]
-    scaling = TimeScalingProgram(_dynamics(body, contacts, x, loads, standing, v, vd, limits), profile).solve()
+    dynamics = _dynamics(body, contacts, x, loads, standing, v, vd, limits)
+    # A leg that is as good as no way at all need not be fast.
+    still = dynamics.paced() > STILL
+    scaling = TimeScaling.steady(dynamics, profile, t) if still else TimeScalingProgram(dynamics, profile).solve()
     if scaling is None:
         return None
     # Forces for a motion between rest and one faster than it are between those of both.

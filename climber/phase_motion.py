@@ -98,38 +98,70 @@ def timed(
         The samples with their forces and torques, and how they came about; or, if there is no timing, why not.
     """
     limits = RateLimits.of(body.robot, budget.pace)
-    legs: list[FastLeg] = []
+    legs: list[_TimedLeg] = []
     for path in paced:
-        leg = fastest_leg(body, contacts, path, limits)
+        leg = _timed_leg(body, contacts, path, limits, budget)
         if leg is None:
             return _slowed(body, contacts, paced, budget)
         if isinstance(leg, str):
             return leg
         legs.append(leg)
+    samples, timing = joined([leg.samples for leg in legs]), legs[0].timing
+    if samples.time[-1] > budget.slowest:
+        return f"the motion takes {samples.time[-1]:.0f} s at its fastest"
+    began = np.cumsum([leg.samples.time[-1] for leg in legs])
+    for begin, leg in zip(began, legs[1:], strict=False):
+        timing = timing.followed(float(begin), leg.timing)
+    force, torque, moment = (
+        _stacked([getattr(leg.forces, name) for leg in legs]) for name in ("force", "torque", "moment")
+    )
+    none = np.zeros(len(samples.time))
+    return samples, TorqueBatch(force, torque, none, none.astype(int), moment), timing
+
+
+@dataclass(frozen=True)
+class _TimedLeg:
+    """A leg, the forces and torques that make it, and how it was timed, from its begin."""
+
+    samples: Samples
+    forces: TorqueBatch
+    timing: PhaseTiming
+
+
+def _timed_leg(
+    body: Body, contacts: Sequence[Contact], path: PacedPath, limits: RateLimits, budget: MotionBudget
+) -> _TimedLeg | str | None:
+    """A leg as fast as can be; why it has no timing; or None where there is no room that a timing could be found in.
+
+    Where its samples show more than the places that the program looked at, it is asked to look at more of them, and if
+    that does not help, the leg is slowed.
+    """
+    leg = fastest_leg(body, contacts, path, limits)
+    if isinstance(leg, FastLeg):
+        (samples,) = _sampled(body.robot, [leg], [leg.duration], budget.rate)
+        if limits.slowing(samples) > 1.0:
+            leg = fastest_leg(body, contacts, path, limits, finer=2)
+    if not isinstance(leg, FastLeg):
+        return leg
     why = "limits of speed, acceleration and jerk"
-    while sum(leg.duration for leg in legs) <= budget.slowest:
-        samples, counts = _sampled(body.robot, legs, [leg.duration for leg in legs], budget.rate)
+    while leg.duration <= budget.slowest:
+        (samples,) = _sampled(body.robot, [leg], [leg.duration], budget.rate)
         slowing = limits.slowing(samples)
-        if slowing > 1.0:
-            legs = [leg.slowed(1.001 * slowing) for leg in legs]
-            continue
-        dynamics = evaluate(body.robot, samples.q, samples.v, [contact.limb for contact in contacts])
-        instants = instants_of(body, contacts, dynamics.load(samples.vd), dynamics.J)
-        start = np.concatenate(
-            [leg.forces(count)[k > 0 :] for k, (leg, count) in enumerate(zip(legs, counts, strict=True))]
-        )
-        t, good = safest_forces(instants, start, foot_load(body, contacts))
-        if good.all():
-            active = active_intervals(body, contacts, legs, limits, samples, instants, t)
-            none = np.zeros(len(t))
-            forces = TorqueBatch(instants.force(t), instants.torque(t), none, none.astype(int), instants.moment(t))
-            return samples, forces, PhaseTiming("conic", limits.by_name(body.robot), active)
-        lacking = failure(body, contacts, instants[~good])
-        if lacking is None:
-            return _slowed(body, contacts, paced, budget)
-        why = lacking[1]
-        legs = [leg.slowed(SLOWING) for leg in legs]
-    return f"takes {sum(leg.duration for leg in legs):.0f} s at its fastest: {why}"
+        if slowing == 1.0:
+            dynamics = evaluate(body.robot, samples.q, samples.v, [contact.limb for contact in contacts])
+            instants = instants_of(body, contacts, dynamics.load(samples.vd), dynamics.J)
+            t, good = safest_forces(instants, leg.forces(len(samples.time)), foot_load(body, contacts))
+            if good.all():
+                active = active_intervals(body, contacts, leg, limits, samples, instants, t)
+                none = np.zeros(len(t))
+                forces = TorqueBatch(instants.force(t), instants.torque(t), none, none.astype(int), instants.moment(t))
+                return _TimedLeg(samples, forces, PhaseTiming("conic", limits.by_name(body.robot), active))
+            lacking = failure(body, contacts, instants[~good])
+            if lacking is None:
+                return None
+            why, slowing = lacking[1], SLOWING
+        leg = leg.slowed(1.001 * slowing)
+    return f"the motion takes {leg.duration:.0f} s at its fastest: {why}"
 
 
 def _slowed(
@@ -145,7 +177,7 @@ def _slowed(
         durations = [max(SHORTEST, slowing * PEAK * path.length / min(PACE, budget.pace)) for path in paced]
         if sum(durations) > budget.slowest and slowing > 1.0:
             return f"even slowed to {sum(durations):.0f} s: {why}"
-        samples, _ = _sampled(body.robot, paced, durations, budget.rate)
+        samples = joined(_sampled(body.robot, paced, durations, budget.rate))
         dynamics = evaluate(body.robot, samples.q, samples.v, holding)
         torques = phase_torques(body.robot, body.wall, list(contacts), dynamics, samples.vd)
         if torques.ok.all():
@@ -158,8 +190,8 @@ class _Leg(Protocol):
     def samples(self, duration: float, count: int) -> Samples: ...
 
 
-def _sampled(robot: Robot, legs: Sequence[_Leg], durations: Sequence[float], rate: float) -> tuple[Samples, list[int]]:
-    """The legs one after the other, at `rate` [Hz] or finer so that they tell the motion, and how many each.
+def _sampled(robot: Robot, legs: Sequence[_Leg], durations: Sequence[float], rate: float) -> list[Samples]:
+    """The legs at `rate` [Hz] or finer, so that the samples tell the motion.
 
     The pace has more turns than a short phase has samples; between samples that miss them nobody could say how the
     robot moves, nor `verify` that it does so.
@@ -171,7 +203,7 @@ def _sampled(robot: Robot, legs: Sequence[_Leg], durations: Sequence[float], rat
         rates = robot.rates(samples.q, samples.v, samples.vd)
         if max(float(error.max(initial=0.0)) for error in drift(samples, rates)) <= TELLING:
             break
-    return samples, counts
+    return pieces
 
 
 def chained(phases: Sequence[PhaseMotion], angle: Indices) -> list[PhaseMotion]:
@@ -197,14 +229,15 @@ def _merged(phases: list[PhaseMotion]) -> PhaseMotion:
     """Phases on the same contacts, one after the other, as one; the robot rests where they meet."""
     if len(phases) == 1:
         return phases[0]
-
-    def stacked(parts: list[Vector]) -> Vector:
-        return np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
-
     samples = [phase.samples for phase in phases]
-    merged = Samples(*(stacked([getattr(s, name) for s in samples]) for name in ("time", "q", "v", "vd")))
-    force, torque, moment = (stacked([getattr(p, name) for p in phases]) for name in ("force", "torque", "moment"))
+    merged = Samples(*(_stacked([getattr(s, name) for s in samples]) for name in ("time", "q", "v", "vd")))
+    force, torque, moment = (_stacked([getattr(p, name) for p in phases]) for name in ("force", "torque", "moment"))
     timing = phases[0].timing
     for before, after in zip(samples, phases[1:], strict=False):
         timing = timing.followed(float(before.time[-1] - samples[0].time[0]), after.timing)
     return replace(phases[0], samples=merged, force=force, torque=torque, moment=moment, timing=timing)
+
+
+def _stacked(parts: Sequence[Vector]) -> Vector:
+    """Series of which each begins where the one before it ends, as one."""
+    return np.concatenate([parts[0], *(part[1:] for part in parts[1:])])

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
 from climber.exceptions import NoPlanFound
@@ -27,10 +28,11 @@ def planned(name: str) -> Plan:
 def test_it_solves_and_the_plan_verifies(name: str) -> None:
     verdict = verify(planned(name))
     assert verdict.ok, str(verdict)
-    # Every phase is timed by the conic program, and there is a limit that keeps it from being faster.
-    timings = [phase.timing for robot in planned(name).robots for phase in robot.phases]
-    assert {timing.method for timing in timings} == {"conic"}
-    assert sum(not timing.active for timing in timings) <= 0.1 * len(timings)
+    # Every phase is timed by the conic program, and if it leads anywhere, a limit keeps it from being faster.
+    phases = [phase for robot in planned(name).robots for phase in robot.phases]
+    assert {phase.timing.method for phase in phases} == {"conic"}
+    moving = [phase.timing.active for phase in phases if np.ptp(phase.q, axis=0).max() > 0.1]
+    assert moving and sum(not active for active in moving) <= 0.1 * len(moving)
 
 
 def test_on_the_obstacle_wall_the_first_plan_has_postures_but_no_motion() -> None:

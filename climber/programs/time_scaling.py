@@ -128,6 +128,12 @@ class TimeScaling:
     t: Vector
     active: tuple[frozenset[str], ...]
 
+    @classmethod
+    def steady(cls, dynamics: PathDynamics, profile: SpeedProfile, t: Vector) -> TimeScaling:
+        """The timing with b = 1 everywhere, with given forces."""
+        one = np.ones(len(dynamics.x))
+        return cls(np.ones(profile.size), profile.length, one, 0.0 * one, t, (frozenset(),) * len(one))
+
 
 @dataclass
 class _Rows:
