@@ -26,9 +26,12 @@ from climber.dynamics import turning
 from climber.inverse import limb_inverse
 from climber.kinematics import Kinematics, Pose
 from climber.newton import NewtonChart
+from climber.programs.torque import static_feasible
 from climber.robot import Indices, Robot
 from climber.stance import Contact, Vector
 from climber.wall import Wall
+
+WEAK = 2.0  # times what a motor gives is far more than it gives
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,14 @@ class Body:
             int(np.sin(q[limb.q]).min(initial=0.0) < 0) if inverse is None else inverse.branch(q[limb.q])
             for inverse, limb in zip(self.inverse, self.robot.limbs, strict=True)
         )
+
+    @cached_property
+    def weak(self) -> bool:
+        """Whether motors cannot hold just any posture: if a limb stretched out would take far more than they give."""
+        robot = self.robot
+        driven = robot.effort[robot.effort > 0.0]
+        weight = robot.mass * float(np.linalg.norm(robot.gravity))
+        return bool(weight * robot.reach.max() > WEAK * driven.min(initial=np.inf))
 
     def without_inverse(self, limbs: Iterable[int]) -> tuple[int, ...]:
         """Those of some limbs that have no inverse kinematics, in limb order."""
@@ -299,10 +310,21 @@ class Manifold:
             result[good] = np.minimum(result[good], self.body.clearance(chosen) - self.margins.clearance)
         return result
 
+    def carried(self, q: Vector) -> NDArray[np.bool_]:
+        """Which configurations on the contacts, shape (K, nq), the motors can hold still, shape (K,).
+
+        Motors that are not weak are taken to hold whatever is balanced; `climber.programs.torque` asks at every sample
+        of a motion.
+        """
+        if not self.body.weak:
+            return np.ones(len(q), dtype=bool)
+        return static_feasible(self.body.robot, self.body.wall, q, self.contacts)
+
     def feasible(self, chart: AnyChart, u: Vector) -> NDArray[np.bool_]:
         """Which chart coordinates `u`, shape (K, num_coordinates), are feasible; shape (K,), bool."""
         q, reach = chart.expand(u)
         good = reach >= self.margins.reach
         if good.any():
             good[good] = self.slack(q[good]) >= 0
+            good[good] = self.carried(q[good])
         return good

@@ -106,7 +106,15 @@ def advance(
         if len(bad):
             u, arrives = u[: every * (1 + int(bad[0]))], False
             if whole:
-                break
+                return u, False
+    if manifold.body.weak:
+        q = chart.expand(u)[0]
+        for every in (max(1, len(u) // 6), 1):
+            bad = np.flatnonzero(~manifold.carried(q[every : len(u) : every]))
+            if len(bad):
+                u, arrives = u[: every * (1 + int(bad[0]))], False
+                if whole:
+                    break
     return u, arrives
 
 
