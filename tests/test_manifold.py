@@ -12,6 +12,7 @@ from robots import MODELS, Standing, clear_configurations, every_star, kinematic
 
 from climber.balance import Region
 from climber.manifold import Body, Chart, Manifold, Margins
+from climber.programs.torque import static_feasible
 from climber.stance import Contact, Vector
 from climber.wall import Hold, Wall, circle
 
@@ -230,7 +231,9 @@ def test_slack_is_the_least_of_limits_balance_and_clearance(model: str, place: i
     expected = np.array([by_parts(here.manifold, row) for row in q])
     assert np.array_equal(slack >= 0, expected >= 0)
     assert slack[slack >= 0] == pytest.approx(expected[slack >= 0], abs=1e-12)
-    assert np.array_equal(here.manifold.feasible(chart, u), (reach >= here.manifold.margins.reach) & (slack >= 0))
+    feasible = here.manifold.feasible(chart, u)
+    within = (reach >= here.manifold.margins.reach) & (slack >= 0)
+    assert np.array_equal(feasible[within], here.manifold.carried(q[within])) and not feasible[~within].any()
 
 
 def test_each_margin_is_asked_for() -> None:
@@ -289,3 +292,14 @@ def test_every_model_stands_with_all_limbs_and_with_one_in_the_air() -> None:
             len(robot(model).limbs),
             len(robot(model).limbs) - 1,
         }
+
+
+def test_weak_motors_must_hold_what_is_feasible_and_strong_ones_are_not_asked() -> None:
+    weak = {model: Body(robot(model), Wall(())).weak for model in ("quadruped", "three_limbed", "lemur")}
+    assert weak == {"quadruped": False, "three_limbed": False, "lemur": True}
+    here = case("lemur", 1)
+    q = here.postures(np.random.default_rng(0), 100)
+    carried = here.manifold.carried(q)
+    assert np.array_equal(carried, static_feasible(here.body.robot, here.body.wall, q, here.contacts))
+    strong = case("quadruped", 1)
+    assert strong.manifold.carried(strong.postures(np.random.default_rng(0), 100)).all()
