@@ -1,11 +1,13 @@
 """The stance graph against the thesis's method on the same walls, and on walls far beyond it.
 
-    python -m benchmarks.bench_graph [--walls W1 W2 W3] [--repeat 15] [--peer-seconds 60] [--skip-peer] [--holds 10000]
+    python -m benchmarks.bench_graph [--walls W1 W2 W3] [--repeat 15] [--peer-seconds 60] [--skip-peer]
+        [--holds 10000] [--space vertical inside_corner]
 
 Ours and the peers run in turn in this process; a ratio is that of medians. The counts after every stage and the edges
 between poses must be the same, or the exit code is 1. The plain peer takes minutes on W3; a stage that is stopped by
 `--peer-seconds` is scaled up from the part that was done, and the table says so. Walls of `--holds` have the density of
 W3, 35 holds to the square metre, and are built in a process of their own, so that its peak memory means something.
+Walls in space are those of `climber wall --kind` with 300 holds, for a robot of LEMUR's reach.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import multiprocessing
 import resource
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,11 +32,13 @@ from climber.poses import Rotations, find_poses
 from climber.programs.support import hold_set_intervals
 from climber.stance import Stance, Vector
 from climber.wall import Hold, Wall
+from climber.wall_kinds import KINDS, make_wall
 
 WALLS = Path(__file__).parent / "walls"
 TARGET_RATIO = {"plain": 300.0, "with caches": 50.0}  # times faster, on W2 and W3
 TARGET_SECONDS = {"W2": 0.030, "W3": 0.080}
 TARGET_SCATTERED = {1000: (5.0, 1.0), 10_000: (60.0, 6.0)}  # [s], [GB] by number of holds
+TARGET_SPACE = 10.0  # [s]
 DENSITY, SPACING = 35.0, 0.12  # [1/m^2], [m] of W3
 
 
@@ -164,6 +168,22 @@ def wide_wall(num_holds: int, seed: int) -> tuple[float, float, float, dict[str,
     return spent, busy, memory, graph.counts
 
 
+def wall_in_space(kind: str, num_holds: int = 300) -> tuple[float, float, dict[str, int]]:
+    """Of the graph of a random wall in space, from near its bottom: time and processor time [s], counts."""
+    wall = make_wall(replace(KINDS[kind], holds=num_holds))
+    robot = Quadruped(np.full(4, 0.5), mass=7.0, dimension=3)
+    low = np.argsort(wall.positions[:, 1])[:20]
+    starts = low[find_poses(wall.positions[low], robot.reach, Rotations(4, 1, 2), {}, lambda s: wall.projected(low[s]))]
+    spent = busy = 0.0
+    for start in starts.tolist():
+        began, busy_before = time.perf_counter(), time.process_time()
+        graph = build_stance_graph(wall, robot, Stance(tuple(start)), Weights())
+        spent, busy = time.perf_counter() - began, time.process_time() - busy_before
+        if graph.num_edges:
+            break
+    return spent, busy, graph.counts
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--walls", nargs="*", default=["W1", "W2", "W3"], choices=["W1", "W2", "W3"])
@@ -171,6 +191,7 @@ def main() -> None:
     parser.add_argument("--peer-seconds", type=float, default=math.inf, help="stop a stage of the peer after this [s]")
     parser.add_argument("--skip-peer", action="store_true", help="only ours")
     parser.add_argument("--holds", nargs="*", type=int, default=[1000], help="sizes of scattered walls")
+    parser.add_argument("--space", nargs="*", default=["vertical"], help="kinds of walls in space")
     arguments = parser.parse_args()
     same = True
     for name in arguments.walls:
@@ -184,6 +205,10 @@ def main() -> None:
         Row(f"stance graph of {num_holds} holds at the density of W3", seconds, "s", most_seconds, note=told).show()
         Row("  its memory", memory, "GB", most_memory, note="growth of the peak").show()
         print("  " + ", ".join(f"{stage} {count}" for stage, count in counts.items()))
+    for kind in arguments.space:
+        seconds, busy, counts = wall_in_space(kind)
+        told = f"{counts['edges']} edges, {counts['supports']} support polygons; {busy:.2f} s of processor"
+        Row(f"stance graph of 300 holds in space, {kind}", seconds, "s", TARGET_SPACE, note=told).show()
     sys.exit(not same)
 
 

@@ -52,7 +52,7 @@ class Recipe:
         holds: Number of holds.
         seed: Of all random numbers.
         density: Holds per area [1/m^2].
-        spacing: No two holds are closer than this [m].
+        spacing: No two holds are closer than this [m], but in a chimney and on a board, where they are even anyway.
         aspect: Height of the wall over its width.
         friction: Coulomb coefficients.
         slope: Angles of the normals from straight up, counter-clockwise [degrees].
@@ -126,7 +126,7 @@ class Recipe:
         N <= (2 / sqrt 3) A / d^2 + P / (2 d) + 1     with its area A and perimeter P.
         """  # noqa: D415 - ends with the formula
         width, height = self.size
-        if self.spacing == 0.0 or self.kind == "board":
+        if self.spacing == 0.0 or self.kind in ("board", "chimney"):  # these are even anyway
             return
         across, up = width / self.spacing, height / self.spacing
         most = 2.0 / math.sqrt(3.0) * across * up + across + up + 1.0

@@ -21,6 +21,7 @@ from climber.wall import Wall
 
 BORDER = 0.4  # the surface goes on beyond the outermost holds by so much [m]
 COLUMNS, ROWS, PITCH = 11, 18, 0.2  # of a board; the pitch in metres
+UNEVEN = 0.3  # by which rungs of a chimney are off, in parts of their distance
 CHIMNEY_DEPTH = 0.12  # of the strips that a chimney's holds are on, along z [m]
 
 SPACE = Recipe(
@@ -44,8 +45,8 @@ KINDS: dict[str, Recipe] = {
     "chimney": replace(
         SPACE,
         kind="chimney",
-        density=14.0,
-        spacing=0.12,
+        density=22.0,
+        gap=0.6,
         friction=Spread(1.2, 0.1, 1.0, 1.4),
         slope=Spread(0.0, 5.0, -10.0, 10.0),
     ),
@@ -161,6 +162,9 @@ def space_holds(recipe: Recipe) -> list[HoldSpec]:
         if recipe.kind == "board":
             column, row = np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))
             across = PITCH * np.column_stack([column.ravel() + 0.5, row.ravel() + 0.5])
+        elif recipe.kind == "chimney":  # thrown like darts they would leave gaps that no limb reaches across
+            rungs = np.arange(count) + 0.5 + rng.uniform(-UNEVEN, UNEVEN, count)
+            across = np.column_stack([rng.uniform(0.0, panel.size[0], count), panel.size[1] / max(count, 1) * rungs])
         else:
             across = throw(rng, count, panel.size, recipe.spacing)
         slope, incut = (np.radians(spread.draw(rng, count)) for spread in (recipe.slope, recipe.incut))
