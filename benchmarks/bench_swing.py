@@ -32,6 +32,7 @@ from benchmarks.peers.thesis_ompl import PeerSwing, ThesisSwing
 from benchmarks.rows import Row
 from climber.choose import Candidates, Layer
 from climber.manifold import Body, Manifold
+from climber.objective import Objective
 from climber.path import Leg, Search, find_path, line
 from climber.phase_motion import MotionBudget
 from climber.robot import Robot
@@ -123,7 +124,7 @@ def our_swing(body: Body, move: Move, rng: np.random.Generator) -> Swing:
             Layer(leave.contacts, leave.q, leave.branches, tuple(range(len(body.robot.limbs)))),
             Layer(arrive.contacts, arrive.q, arrive.branches, holding),
         ]
-        candidates = Candidates(layers, int(body.robot.base_q[-1]))
+        candidates = Candidates(layers, body.robot.angle_q, Objective.of("length", body))
         for _ in range(budget.attempts):
             pair = candidates.best()
             if pair is None:
