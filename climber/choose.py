@@ -17,6 +17,8 @@ from climber.path import unwound
 from climber.robot import Indices
 from climber.stance import Contact, Vector
 
+DOUBT = 3.0  # flips of an elbow that a phase counts as which no straight line will do for
+
 
 @dataclass
 class Layer:
@@ -46,12 +48,14 @@ class Candidates:
         angle: Places of the pelvis's angles in the positions.
         objective: What a phase costs.
         barred: Phases that did not work out: (layer before, candidate there, candidate in the next layer).
+        doubted: Phases that no straight line will do for, likewise.
     """
 
     layers: list[Layer]
     angle: Indices
     objective: Objective
     barred: set[tuple[int, int, int]] = field(default_factory=set)
+    doubted: set[tuple[int, int, int]] = field(default_factory=set)
 
     def costs(self, i: int) -> Vector:
         """Cost of every phase from layer i to layer i + 1, shape (M_i, M_{i+1}); inf where barred."""
@@ -62,6 +66,9 @@ class Candidates:
         result: Vector = self.objective.step(step) + self.objective.flip * flips
         if there.cost is not None:
             result = result + there.cost
+        for layer, a, b in self.doubted:
+            if layer == i:
+                result[a, b] += DOUBT * self.objective.flip
         for layer, a, b in self.barred:
             if layer == i:
                 result[a, b] = np.inf

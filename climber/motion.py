@@ -20,7 +20,7 @@ from shapely.geometry.base import BaseGeometry
 
 from climber.choose import Candidates, Layer
 from climber.objective import Objective
-from climber.path import clear, unwound
+from climber.path import clear, direct, unwound
 from climber.phase_motion import MotionBudget
 from climber.phases import Curves, PhasePlanner, Purpose, Stretch, Way, instants
 from climber.pieces import Choice, in_component
@@ -28,6 +28,8 @@ from climber.plan_file import ObjectiveKind
 from climber.stance import Contact, Move, Vector
 from climber.transition import Postures
 from climber.transitions import MoveFailure, TransitionFinder
+
+LOOKS = 60  # ways through the candidates that are looked at for straight lines, at a few hundredths of a second each
 
 Regions = Mapping[int, Sequence[BaseGeometry | None]]
 
@@ -118,9 +120,10 @@ class MotionPlanner:
 
     def _through(self, candidates: Candidates, phases: list[Stretch], free_start: bool) -> Way | DeadEnd:
         """Motions through the layers, by the cheapest way for which all of them work out."""
-        chosen = candidates.best()
-        assert chosen is not None
+        chosen = self._straightest(candidates, phases)
         chosen = self._together(candidates, phases, chosen, free_start)
+        if self.body.weak:  # what was drawn together may ask too much of the motors in between
+            chosen = self._straightest(candidates, phases)
         known: dict[tuple[int, int, int], Curves] = {}
         tried = [0] * len(phases)
         while True:
@@ -140,6 +143,31 @@ class MotionPlanner:
                 last = replace(failure, index=phase.move)
                 return DeadEnd(last, phase.purpose, layer.contacts, layer.q[reached], whole)
             chosen = again
+
+    def _straightest(self, candidates: Candidates, phases: list[Stretch]) -> list[int]:
+        """The cheapest way; where motors are weak the cheapest among those looked at that straight lines will do for.
+
+        Between postures that weak motors can hold there are many that they cannot, and to find a way around these takes
+        a hundred times as long as to try other postures.
+        """
+        chosen = candidates.best()
+        assert chosen is not None
+        if not self.body.weak:
+            return chosen
+        known: set[tuple[int, int, int]] = set()
+        for _ in range(LOOKS):
+            postures = self._along(candidates, chosen)
+            fresh = {(i, chosen[i], chosen[i + 1]) for i in range(len(phases))} - known
+            if not fresh:
+                break
+            known |= fresh
+            candidates.doubted |= {
+                (i, a, b) for i, a, b in fresh if not direct(phases[i].manifold, postures[i], postures[i + 1])
+            }
+            again = candidates.best()
+            assert again is not None
+            chosen = again
+        return chosen
 
     def _by(
         self,

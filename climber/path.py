@@ -78,6 +78,17 @@ def _without_inverse(
     return None if u is None else [shortened(manifold, Leg(chart, u), rng, search)]
 
 
+def direct(manifold: Manifold, a: Vector, b: Vector, search: Search | None = None) -> bool:
+    """Whether the straight line in one chart joins two feasible configurations: the most that is cheap to find out."""
+    b = unwound(b, a, manifold.body.robot.angle_q)
+    turning = flips(manifold, a, b)
+    if len(turning) > 1 or manifold.body.without_inverse(manifold.points):
+        return False
+    chart = manifold.chart(a, turning[0] if turning else None)
+    start = chart.coordinates(a)
+    return any(clear(manifold, chart, start, end, search) for end in chart.turns(chart.coordinates(b)))
+
+
 def flips(manifold: Manifold, a: Vector, b: Vector) -> tuple[int, ...]:
     """The holding limbs that bend differently in two configurations."""
     one, two = manifold.body.branches(a), manifold.body.branches(b)
