@@ -1,4 +1,4 @@
-"""The command line: `climber solve | verify | simulate | draw | explain | robot | wall`.
+"""The command line: `climber solve | verify | simulate | draw | explain | table | robot | wall`.
 
 Exit codes: 0 all is well, 1 the answer is no (no climb found, a check failed), 2 the input is at fault.
 """
@@ -57,6 +57,7 @@ def _parser() -> argparse.ArgumentParser:
     from climber import __version__
     from climber.explain_command import add_explain_command
     from climber.simulate_command import add_simulate_command
+    from climber.table_command import add_table_command
     from climber.wall_command import add_wall_command
 
     parser = argparse.ArgumentParser(prog="climber", description="Plans free climbs of multi-limbed robots.")
@@ -92,8 +93,9 @@ def _parser() -> argparse.ArgumentParser:
 
     explain = add_explain_command(commands)
     wall = add_wall_command(commands)
+    table = add_table_command(commands)
 
-    for command in (solve, verify, simulate, draw, robot, explain, wall):
+    for command in (solve, verify, simulate, draw, robot, explain, wall, table):
         command.add_argument("--json", action="store_true", help="print the result as JSON")
     return parser
 

@@ -33,6 +33,7 @@ from climber.transitions import MoveFailure
 
 Purpose = Literal["let go", "region", "swing"]
 BACK = (1.0, 0.7, 0.4, 0.2)  # how far a posture goes that cannot be held all the way
+STRAIGHT = 3e-3  # share by which a curve may be longer than a straight line and pass for one
 AT_ONCE = 3  # legs that are refined together: a shift, a swing, and the shift that follows
 
 
@@ -147,6 +148,13 @@ class PhasePlanner:
                 return np.asarray(at[0])
         return instant.q
 
+    def _as_good_as_straight(self, legs: Sequence[Curve]) -> bool:
+        """Whether legs are hardly longer than straight lines; postures drawn together are best for those already."""
+        s, norm = np.linspace(0.0, 1.0, 65), self.objective.norm
+        paths = [leg.q(s) for leg in legs]
+        length = sum(float(norm(np.diff(q, axis=0)).sum()) for q in paths)
+        return length <= (1.0 + STRAIGHT) * sum(float(norm(q[-1] - q[0])) for q in paths)
+
     def held(self, q: Vector, manifolds: Sequence[Manifold]) -> bool:
         """Whether contacts and motors can hold a posture still on each of the manifolds."""
         every = {manifold.contacts: None for manifold in manifolds}
@@ -210,6 +218,8 @@ class PhasePlanner:
                 for (one, two), ends in zip(pairwise(of), pairwise(legs[window]), strict=True)
             ]
             parts = list(zip((stretch.manifold for stretch in of), legs[window], strict=True))
+            if self._as_good_as_straight(legs[window]):
+                continue
             better = refine_together(parts, meetings, self.objective.norm)
             ends = [curve.q(np.ones(1))[0] for curve in better[:-1]]
             sides = [(one.manifold, two.manifold) for one, two in pairwise(of)]

@@ -156,6 +156,7 @@ class ClimbSearch:
         objective = cast(ObjectiveKind, scenario.objective)
         self.planner = MotionPlanner(self.finder, MotionBudget.of(scenario.budget), objective)
         self.progress = Progress()
+        self.replans = -1  # how often the task planner was asked again
         self.stance = Stance(tuple(self.spec.start[name] for name in self.robot.limb_names))
         self.start = start_postures(scenario, self.index, self.finder, self.stance)
 
@@ -217,6 +218,7 @@ class ClimbSearch:
         self.times["task"] += clock.perf_counter() - began
         for _ in range(self.scenario.budget.replans + 1):
             proposal = self._propose(tasks)
+            self.replans += 1
             if isinstance(proposal, Impossible):
                 return proposal
             (walk,) = proposal.walks
@@ -362,6 +364,7 @@ class ClimbSearch:
                 "moves": proposal.proofs.makespan_proved,
                 "cost": proposal.proofs.cost_proved,
                 "relative_to": "the stance graph less the cuts",
+                "replans": self.replans,
             },
             objective=Achieved(objective.kind, value),
             record=progress.entries,

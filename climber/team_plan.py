@@ -25,7 +25,6 @@ from climber.exceptions import NoPlanFound
 from climber.graph import build_stance_graph
 from climber.lessons import Lessons, OnFailure
 from climber.motion import MotionPlanner
-from climber.phase_motion import PhaseMotion
 from climber.phases import Way
 from climber.plan import ClimbSearch, Report, decode
 from climber.plan_file import Fact, RobotPlan
@@ -35,7 +34,7 @@ from climber.scenario import Scenario
 from climber.stance import Vector
 from climber.states import WAIT, Booleans, Integers
 from climber.task import Impossible, OutOfTime, TaskPlan, TaskPlanner, Walk
-from climber.team import Conflict, Team, TeamMotion, by_step
+from climber.team import SAME, Conflict, Team, TeamMotion, by_step
 
 ROOM = 0.02  # [m] that stars of straight limbs keep from one another, since knees stick out
 FAR = 1.0  # [m] stances farther apart do not matter to one another
@@ -144,8 +143,8 @@ class TeamSearch:
             for member, recorder in zip(self.members, self._recorders, strict=True)
         ]
         self._share()
-        self._motions: list[dict[Any, list[PhaseMotion]]] = [{} for _ in self.members]
-        self._kept_apart = 0
+        self._ways: list[dict[Any, Way]] = [{} for _ in self.members]
+        self._kept_apart, self._replans = 0, 0
         self._times = {"task": 0.0, "team": 0.0}
 
     def timings(self) -> dict[str, float]:
@@ -164,28 +163,46 @@ class TeamSearch:
         for index, (recorder, lessons) in enumerate(zip(self._recorders, self._lessons, strict=True)):
             recorder.repeat(tasks, index)
             lessons.tasks, lessons.robot = tasks, index
-        for _ in range(self.scenario.budget.replans + 1):
-            proposal = self._propose(tasks)
+        for number in range(self.scenario.budget.replans + 1):
+            proposal, self._replans = self._propose(tasks), number
             self._report(f"the team needs {proposal.makespan} steps of cost {proposal.cost}")
             # Postures are quickly found missing, motions are not.
             surveyed = [self._surveyed(index, walk) for index, walk in enumerate(proposal.walks)]
             if not all(surveyed):
                 continue
-            motions = [self._moved(index, walk) for index, walk in enumerate(proposal.walks)]
-            if any(phases is None for phases in motions):
+            moved = [self._moved(index, walk) for index, walk in enumerate(proposal.walks)]
+            ways = [way for way in moved if way is not None]
+            if len(ways) < len(moved):
                 continue
-            steps = [
-                by_step(phases or [], [edge != WAIT for edge in walk.edges])
-                for phases, walk in zip(motions, proposal.walks, strict=True)
-            ]
-            began = clock.perf_counter()
-            motion = self._team.synchronise(steps)
-            self._times["team"] += clock.perf_counter() - began
+            motion = self._together(proposal, ways)
             if isinstance(motion, TeamMotion):
-                return self._plans(proposal, motion)
+                return self._plans(proposal, self._improved(proposal, ways, motion))
             for conflict in motion:
                 self._keep_apart(tasks, proposal, conflict)
         raise self._none("the task planner was asked as often as the budget allows")
+
+    def _together(self, proposal: TaskPlan, ways: Sequence[Way]) -> TeamMotion | tuple[Conflict, ...]:
+        """The robots' motions on one clock, or what is in the way of that."""
+        began = clock.perf_counter()
+        steps = [
+            by_step(way.chained(), [edge != WAIT for edge in walk.edges])
+            for way, walk in zip(ways, proposal.walks, strict=True)
+        ]
+        motion = self._team.synchronise(steps)
+        self._times["team"] += clock.perf_counter() - began
+        return motion
+
+    def _improved(self, proposal: TaskPlan, ways: list[Way], motion: TeamMotion) -> TeamMotion:
+        """The team's motion with each robot's improved, where that keeps them clear, and the climb no longer."""
+        for index, member in enumerate(self.members):
+            better = member.improved(ways[index], 1.0 / len(ways))
+            if better is ways[index]:
+                continue
+            tried = [better if other == index else way for other, way in enumerate(ways)]
+            after = self._together(proposal, tried)
+            if isinstance(after, TeamMotion) and after.starts[-1] <= motion.starts[-1] + SAME:
+                ways, motion = tried, after
+        return motion
 
     def _share(self) -> None:
         """Finds robots that are alike on the same graph: what one learns of postures the others need not find out."""
@@ -199,7 +216,7 @@ class TeamSearch:
                 self._alike[j].append(i)
                 if two.finder is not one.finder:
                     two.finder = one.finder
-                    two.planner = MotionPlanner(one.finder, two.planner.budget)
+                    two.planner = MotionPlanner(one.finder, two.planner.budget, two.planner.objective.kind)
 
     def _alone(self, index: int) -> None:
         """Searches a climb for one robot as if it were alone, for what is learnt."""
@@ -241,20 +258,21 @@ class TeamSearch:
                     self._lessons[other].no_posture(walk, failure)
         return not failures
 
-    def _moved(self, index: int, walk: Walk) -> list[PhaseMotion] | None:
+    def _moved(self, index: int, walk: Walk) -> Way | None:
         """The motion of one robot along its walk, or None if something was learnt instead."""
         member, lessons, walk = self.members[index], self._lessons[index], without_waits(walk)
         key = walk.edges, walk.components, walk.visits
-        if key not in self._motions[index]:
+        if key not in self._ways[index]:
             moves = decode(member.graph, member.stance, walk.edges)
             stances = [member.stance, *(move.end for move in moves)]
             regions, choices = member.regions(walk), lessons.choices(walk, stances)
-            outcome = member.planner.plan(member.start, moves, regions, choices)
+            free = not member.spec.start_posture
+            outcome = member.planner.plan(member.start, moves, regions, choices, free)
             if not isinstance(outcome, Way):
                 member.learn(lessons, walk, moves, outcome)
                 return None
-            self._motions[index][key] = outcome.chained()
-        return self._motions[index][key]
+            self._ways[index][key] = outcome
+        return self._ways[index][key]
 
     def _keep_apart(self, tasks: ProductPlanner, proposal: TaskPlan, conflict: Conflict) -> None:
         """Tells the task planner of what two robots cannot do at the same time."""
@@ -286,6 +304,7 @@ class TeamSearch:
             more: dict[str, Fact] = {
                 "steps": proposal.makespan,
                 "pairs_kept_apart": self._kept_apart,
+                "replans": self._replans,
                 "relative_to": relative,
             }
             plans.append(replace(plan, proofs={**plan.proofs, **more}))
