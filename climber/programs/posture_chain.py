@@ -24,7 +24,7 @@ WATCH = 0.15  # [m] shapes farther apart than this are not looked at in one step
 RADIUS = 0.3  # [rad] of the trust region at first
 SMALLEST = 5e-3  # [rad] and when to stop
 BACKOFF = 1e-5  # [rad or m] room to a condition that a step leaves at first
-ENOUGH = 1e-3  # a step that lowers the cost by less than this share is the last one
+ENOUGH = 2e-3  # a step that lowers the cost by less than this share is the last one
 FRACTIONS = (1.0, 0.5, 0.25, 0.1)  # of its step that a posture takes if the whole of it is not feasible
 SUPPORT = "centre of mass"  # what the names of the conditions on equilibrium begin with
 
