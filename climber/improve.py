@@ -14,13 +14,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import shapely
 
 from climber.choose import Candidates, Layer
 from climber.path import unwound
 from climber.phase_motion import MotionBudget, PhaseMotion
 from climber.phases import Curves, PhasePlanner, Stretch, Way, instants
 from climber.programs.posture_chain import Instant
+from climber.solids import away
 from climber.stance import Vector
 from climber.transition import posture_sampler
 from climber.transitions import MoveFailure
@@ -167,8 +167,7 @@ class Improver:
         """Those of some postures that are in the instant's region."""
         if instant.region is None or not len(q):
             return q
-        inside = shapely.contains_xy(instant.region, *q[:, self._planner.body.robot.origin_q[:2]].T)
-        return np.asarray(q[inside])
+        return np.asarray(q[away(instant.region, q[:, self._planner.body.robot.origin_q]) <= 0.0])
 
     def _cost(self, given: Sequence[Instant], postures: Sequence[Vector], stretches: Sequence[Stretch]) -> float:
         """What postures cost, straight lines between them, limbs that bend otherwise counted."""

@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from shapely.geometry.base import BaseGeometry
 
 from climber.apart import why_apart
 from climber.curve import Curve, rounded
@@ -26,6 +25,7 @@ from climber.programs.posture_chain import Instant, PostureChain
 from climber.programs.torque import static_feasible
 from climber.programs.trajectory import NUM_CONTROL, refine
 from climber.programs.whole_move import Meeting, refine_together
+from climber.solids import Region
 from climber.stance import Vector
 from climber.timing import PacedPath
 from climber.transition import Failure, between
@@ -46,14 +46,14 @@ class Stretch:
         limb: The limb that swings, or None.
         move: How many moves are complete as it begins.
         purpose: What it is for.
-        region: Where in the wall plane the pelvis's origin must be as it ends; None for anywhere.
+        region: Where the pelvis's origin must be as it ends; None for anywhere.
     """
 
     manifold: Manifold
     limb: int | None
     move: int
     purpose: Purpose
-    region: BaseGeometry | None = None
+    region: Region | None = None
 
 
 Curves = tuple[Curve, ...]

@@ -7,6 +7,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
@@ -14,9 +15,10 @@ from climber.exceptions import ClimberError
 from climber.table import PUBLISHED, Figures, Published, deviation, mean, measure
 
 SEEDS = 3
+WIDTH = 112  # of the table, characters; a narrower one would lose columns
 NOTE = (
-    "Published: table 5.1 of Gönen (2021), on walls that ours resemble and do not equal; - where the copy at hand cannot "
-    "be read. Makespans of its scenarios 2, 3 and 5 and the replanning of scenario 3 are from its section 5.1. Its "
+    "Published: table 5.1 of Gönen (2021), on walls that ours resemble but are not; - where the copy at hand cannot be "
+    "read. Makespans of its scenarios 2, 3 and 5 and the replanning of scenario 3 are from its section 5.1. Its "
     "optimum lengths are by RRT*, its mean lengths and times by RRT-Connect; ours are the least and the mean over the "
     "seeds. Length: Euclidean over all positions, metres and radians alike, of all robots together. In parentheses: "
     "standard deviations."
@@ -64,6 +66,7 @@ def _table(options: argparse.Namespace) -> int:
         print(json.dumps({"seeds": options.seeds, "scenarios": [each.to_dict() for each in figures], "note": NOTE}))
     else:
         console = Console(highlight=False)
+        console.width = max(console.width, WIDTH)
         console.print(rendered(figures, options.seeds))
         console.print(NOTE, style="dim")
     return 1 if any(each.failed for each in figures) else 0
@@ -71,16 +74,11 @@ def _table(options: argparse.Namespace) -> int:
 
 def rendered(figures: Sequence[Figures], seeds: int) -> Table:
     """The table: for every scenario a row of ours and, if there is one, the published one below."""
-    table = Table(title=f"{seeds} seed{'s' if seeds > 1 else ''} each", title_justify="left", padding=(0, 1))
+    table = Table(title=f"{seeds} seed{'s' if seeds > 1 else ''} each", title_justify="left", box=SIMPLE)
     table.add_column("scenario", no_wrap=True)
-    table.add_column("moves", justify="right")
-    table.add_column("graph\n[s]", justify="right")
-    table.add_column("task\n[s]", justify="right")
-    table.add_column("motion planning\n[s]", justify="right", no_wrap=True)
-    table.add_column("optimum\nlength", justify="right")
-    table.add_column("mean\nlength", justify="right", no_wrap=True)
-    table.add_column("motion\n[s]", justify="right", no_wrap=True)
-    table.add_column("replans", justify="right")
+    stages = ["moves", "graph\n[s]", "task\n[s]", "motion planning\n[s]"]
+    for head in [*stages, "optimum\nlength", "mean\nlength", "duration\n[s]", "replans"]:
+        table.add_column(head.replace("[", "\\["), justify="right", no_wrap=True)
     for each in figures:
         missing = f" ({len(each.failed)} failed)" if each.failed else ""
         table.add_row(
@@ -101,9 +99,10 @@ def rendered(figures: Sequence[Figures], seeds: int) -> Table:
 
 
 def _published(row: Published) -> list[str]:
-    graph = " + ".join(part or "-" for part in (row.states, row.edges))
+    parts = row.states, row.edges
+    graph = " + ".join(part or "-" for part in parts) if any(parts) else None
     cells = (row.makespan, graph, row.task, row.motion, row.optimum, row.length, None, row.replans)
-    return [f"  Gönen's scenario {row.number}", *(cell or "-" for cell in cells)]
+    return [f"  Gönen {row.number}", *(cell or "-" for cell in cells)]
 
 
 def _number(values: Sequence[float], digits: int) -> str:

@@ -18,6 +18,8 @@ from shapely.geometry.base import BaseGeometry
 from climber.manifold import Manifold
 from climber.objective import Objective
 from climber.programs.conditions import Conditions, Linearised
+from climber.robot import Indices
+from climber.solids import Region, away
 from climber.stance import Vector
 
 WATCH = 0.15  # [m] shapes farther apart than this are not looked at in one step
@@ -36,20 +38,20 @@ class Instant:
     Attributes:
         q: The configuration, shape (nq,).
         manifold: What makes it feasible, in the phases before and after.
-        region: Where in the wall plane the pelvis's origin must be; None for anywhere.
+        region: Where the pelvis's origin must be; None for anywhere.
         free: Whether it may be moved.
     """
 
     q: Vector
     manifold: Manifold
-    region: BaseGeometry | None = None
+    region: Region | None = None
     free: bool = True
 
 
 class _Posture:
     """One free posture: its chart, its conditions, and how it moves in it."""
 
-    def __init__(self, instant: Instant, origin: Vector) -> None:
+    def __init__(self, instant: Instant, origin: Indices) -> None:
         self.manifold, self.region, self._origin = instant.manifold, instant.region, origin
         self.chart = instant.manifold.chart(instant.q)
         self.conditions = Conditions(instant.manifold, self.chart)
@@ -62,7 +64,7 @@ class _Posture:
 
     def inside(self, q: Vector) -> bool:
         """Whether the pelvis is in its region."""
-        return self.region is None or bool(shapely.contains_xy(self.region, *q[self._origin]))
+        return self.region is None or bool(away(self.region, q[self._origin]) <= 0.0)
 
     def rows(self, near: Linearised, radius: float) -> tuple[Vector, Vector]:
         """Conditions as A x <= b on a change x of the coordinates; those that cannot bind are left out."""
@@ -70,13 +72,14 @@ class _Posture:
         room = near.value - np.minimum(near.value, self.backoff)
         tight = room < np.abs(near.slope) @ bound
         A, b = [-near.slope[tight]], [room[tight]]
-        if self.region is not None:
-            here = shapely.Point(near.q[0, self._origin])
-            edge = np.array(shapely.shortest_line(here, self.region.boundary).coords[1])
-            away = edge - near.q[0, self._origin]
-            distance = float(np.linalg.norm(away))
+        if isinstance(self.region, BaseGeometry):
+            # Towards the nearest place on the edge no farther than to it; into a solid's edge a step is just cut short.
+            flat = self._origin[:2]
+            edge = np.array(shapely.shortest_line(shapely.Point(near.q[0, flat]), self.region.boundary).coords[1])
+            outwards = edge - near.q[0, flat]
+            distance = float(np.linalg.norm(outwards))
             if distance > 1e-9:
-                A.append((away / distance @ near.dq[0, self._origin])[None])
+                A.append((outwards / distance @ near.dq[0, flat])[None])
                 b.append(np.array([max(0.0, distance - self.backoff)]))
         identity = np.eye(len(bound))
         return np.concatenate([*A, identity, -identity]), np.concatenate([*b, bound, bound])
@@ -118,7 +121,7 @@ class PostureChain:
     def __init__(self, instants: Sequence[Instant], objective: Objective) -> None:
         self.objective = objective
         self._q = [instant.q for instant in instants]
-        origin = instants[0].manifold.body.robot.origin_q[:2]
+        origin = instants[0].manifold.body.robot.origin_q
         self._free = {
             k: _Posture(instant, origin)
             for k, instant in enumerate(instants)
