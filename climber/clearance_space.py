@@ -8,7 +8,7 @@ bounds by balls and by faces tell most pairs apart. `verify` does not use this m
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import partial
 
@@ -19,7 +19,7 @@ from climber.clearance import Clearance, link_shapes
 from climber.kinematics import Kinematics, Pose
 from climber.link_parts import parts
 from climber.nearest import closest, least_height, point_to_segment, segment_to_polyhedron
-from climber.polyhedron import Polyhedron
+from climber.placed import Block, Hull, Placed, corners_over, edges_to
 from climber.robot import Indices
 from climber.solids import Solid
 from climber.solids import Sphere as Ball
@@ -28,8 +28,6 @@ from climber.wall import Wall
 
 NEAR = 0.03  # [m] distances less than this are exact
 FAR = 1e3  # [m] beyond any wall
-
-Points = Callable[[Indices, Indices], tuple[Vector, Vector]]  # closest points, (M, 3) each, of some entries of a block
 
 
 @dataclass(frozen=True)
@@ -60,54 +58,6 @@ _NOTHING = Nearby(
 )
 
 
-@dataclass(frozen=True)
-class _Hull:
-    """A convex collision shape in its link's frame; its edges are among the segments."""
-
-    link: int
-    body: int
-    shape: Polyhedron
-
-
-@dataclass(frozen=True)
-class _Placed:
-    """Links in W: their poses, and both ends of all segments [m], (K, S, 3) each."""
-
-    poses: list[Pose]
-    start: Vector
-    end: Vector
-
-    def within(self, hull: _Hull, points: Vector, rows: Indices) -> Vector:
-        """Points in W (M, ..., 3) of some configurations (M,), in the frame of a hull's link."""
-        pose = self.poses[hull.link]
-        shift = points - pose.origin[rows].reshape(-1, *[1] * (points.ndim - 2), 3)
-        result: Vector = np.einsum("m...i,mij->m...j", shift, pose.rotation[rows])
-        return result
-
-    def out(self, hull: _Hull, points: Vector, rows: Indices) -> Vector:
-        """Points (M, 3) in the frame of a hull's link, in W."""
-        pose = self.poses[hull.link]
-        result: Vector = np.einsum("mij,mj->mi", pose.rotation[rows], points) + pose.origin[rows]
-        return result
-
-
-@dataclass(frozen=True)
-class _Block:
-    """Distances of some pairs of shapes.
-
-    Attributes:
-        kind: As in `Nearby`, shape (m,).
-        links: As in `Nearby`, shape (m, 2).
-        distance: [m], shape (K, m).
-        points: What finds the closest points of entries of `distance`.
-    """
-
-    kind: Indices
-    links: Indices
-    distance: Vector
-    points: Points
-
-
 class SpaceClearance:
     """Distances of a robot in space from itself, from the rock of its wall and from obstacles.
 
@@ -118,7 +68,7 @@ class SpaceClearance:
 
     def __init__(self, kinematics: Kinematics, wall: Wall) -> None:
         links, watched = link_shapes(kinematics)
-        self._hulls: list[_Hull] = []
+        self._hulls: list[Hull] = []
         rows: list[tuple[Vector, Vector, float, int, int, int]] = []
         for link, bodies in enumerate(links):
             for body, shapes in bodies.items():
@@ -127,7 +77,7 @@ class SpaceClearance:
                 for polyhedron in polyhedra:
                     edges = polyhedron.corners[polyhedron.edges]
                     rows += [(start, end, 0.0, link, body, len(self._hulls)) for start, end in edges]
-                    self._hulls.append(_Hull(link, body, polyhedron))
+                    self._hulls.append(Hull(link, body, polyhedron))
         self._start = np.array([row[0] for row in rows]).reshape(-1, 3)
         self._end = np.array([row[1] for row in rows]).reshape(-1, 3)
         self._radius = np.array([row[2] for row in rows], dtype=float)
@@ -164,8 +114,14 @@ class SpaceClearance:
         found |= {tuple(sorted((self._hulls[g].link, self._hulls[h].link))) for g, h in self._two_hulls}
         self.pairs = sorted((i, j) for i, j in found)
         self._number = {pair: k for k, pair in enumerate(self.pairs)}
-        self._num_links = int(link.max(initial=-1)) + 1
-        self.num_kinds = len(self.pairs) + self._num_links
+        self.num_kinds = len(self.pairs) + int(link.max(initial=-1)) + 1
+        self._of_thick = self._kinds(link[self._one], link[self._two])
+        self._of_hull = [
+            self._kinds(link[thick], np.array(hull.link))
+            for hull, thick in zip(self._hulls, self._by_hull, strict=True)
+        ]
+        self._outside = self._kinds(link, np.array(-1))
+        self._hull_outside = [self._kinds(np.array([hull.link]), np.array(-1)) for hull in self._hulls]
 
     def __call__(self, poses: list[Pose]) -> Vector:
         """Least distance of watched links from one another, from rock and from obstacles [m], shape (K,).
@@ -195,7 +151,7 @@ class SpaceClearance:
         names = [field.name for field in fields(Nearby)]
         return Nearby(*(np.concatenate([getattr(part, name) for part in found]) for name in names))
 
-    def _blocks(self, poses: list[Pose], near: float) -> Iterator[_Block]:
+    def _blocks(self, poses: list[Pose], near: float) -> Iterator[Block]:
         """All distances, exact where they are less than `near`, else bounds that are not."""
         rotation, origin = (
             np.stack([getattr(pose, part) for pose in poses], axis=1) for part in ("rotation", "origin")
@@ -203,18 +159,18 @@ class SpaceClearance:
         rotation, origin = rotation[:, self._link], origin[:, self._link]
         start = np.einsum("ksij,sj->ksi", rotation, self._start) + origin
         end = np.einsum("ksij,sj->ksi", rotation, self._end) + origin
-        placed = _Placed(poses, start, end)
+        placed = Placed(poses, start, end)
         if len(self._one):
             yield self._between_thick(placed)
-        for hull, thick in zip(self._hulls, self._by_hull, strict=True):
+        for h, thick in enumerate(self._by_hull):
             if len(thick):
-                yield self._thick_to_hull(placed, hull, thick, near)
+                yield self._thick_to_hull(placed, h, near)
         for g, h in self._two_hulls:
             yield self._between_hulls(placed, g, h, near)
         for solid in self._rock:
             yield self._to_solid(placed, solid, near)
-            for hull in self._hulls:
-                yield self._hull_to_solid(placed, hull, solid, near)
+            for h in range(len(self._hulls)):
+                yield self._hull_to_solid(placed, h, solid, near)
         if self._flat is not None:
             yield self._to_flat(placed)
             yield from self._around_flat(placed)
@@ -228,7 +184,7 @@ class SpaceClearance:
         ]
         return np.array(kind, dtype=np.int64), np.stack([one, two], axis=1)
 
-    def _between_thick(self, placed: _Placed) -> _Block:
+    def _between_thick(self, placed: Placed) -> Block:
         """Capsules from capsules."""
         one, two = self._one, self._two
         ends = placed.start[:, one], placed.end[:, one], placed.start[:, two], placed.end[:, two]
@@ -239,10 +195,11 @@ class SpaceClearance:
             a0, a1, b0, b1 = (end[k, m] for end in ends)
             return a0 + s[k, m, None] * (a1 - a0), b0 + t[k, m, None] * (b1 - b0)
 
-        return _Block(*self._kinds(self._link[one], self._link[two]), distance, points)
+        return Block(*self._of_thick, distance, points)
 
-    def _thick_to_hull(self, placed: _Placed, hull: _Hull, thick: Indices, near: float) -> _Block:
+    def _thick_to_hull(self, placed: Placed, h: int, near: float) -> Block:
         """Capsules from a polyhedron of another link."""
+        hull, thick = self._hulls[h], self._by_hull[h]
         middle, radius = hull.shape.ball
         pose = placed.poses[hull.link]
         _, away = point_to_segment(pose.point(middle)[:, None], placed.start[:, thick], placed.end[:, thick])
@@ -258,11 +215,11 @@ class SpaceClearance:
             )
 
         k, m = np.nonzero(distance < near)
-        distance[k, m] = np.maximum(distance[k, m], measure(k, m)[0])
-        kind, links = self._kinds(self._link[thick], np.array(hull.link))
-        return _Block(kind, links, distance, lambda k, m: measure(k, m)[1:])
+        if len(k):
+            distance[k, m] = np.maximum(distance[k, m], measure(k, m)[0])
+        return Block(*self._of_hull[h], distance, lambda k, m: measure(k, m)[1:])
 
-    def _between_hulls(self, placed: _Placed, g: int, h: int, near: float) -> _Block:
+    def _between_hulls(self, placed: Placed, g: int, h: int, near: float) -> Block:
         """Two polyhedra of different links."""
         one, two = self._hulls[g], self._hulls[h]
         (c, r), (d, q) = one.shape.ball, two.shape.ball
@@ -272,10 +229,10 @@ class SpaceClearance:
         def measure(k: Indices) -> tuple[Vector, Vector, Vector]:
             edges = self._edges[g]
             a0, a1 = (placed.within(two, ends[k[:, None], edges], k) for ends in (placed.start, placed.end))
-            gap, on_one, on_two = _edges_to(two.shape, a0, a1)
+            gap, on_one, on_two = edges_to(two.shape, a0, a1)
             corners = placed.out(two, np.tile(two.shape.corners, (len(k), 1)), np.repeat(k, len(two.shape.corners)))
             corners = corners.reshape(len(k), -1, 3)
-            over, below, corner = _corners_over(one.shape, placed.within(one, corners, k))
+            over, below, corner = corners_over(one.shape, placed.within(one, corners, k))
             closer = over < gap
             on_one = np.where(closer[:, None], placed.out(one, below, k), placed.out(two, on_one, k))
             on_two = np.where(closer[:, None], corners[np.arange(len(k)), corner], placed.out(two, on_two, k))
@@ -284,12 +241,12 @@ class SpaceClearance:
         k = np.flatnonzero(distance[:, 0] < near)
         distance[k, 0] = np.maximum(distance[k, 0], measure(k)[0])
         kind, links = self._kinds(np.array([one.link]), np.array(two.link))
-        return _Block(kind, links, distance, lambda k, m: measure(k)[1:])
+        return Block(kind, links, distance, lambda k, m: measure(k)[1:])
 
-    def _to_solid(self, placed: _Placed, solid: Solid, near: float) -> _Block:
+    def _to_solid(self, placed: Placed, solid: Solid, near: float) -> Block:
         """Capsules, and edges of polyhedra, from rock or an obstacle."""
         start, end = placed.start, placed.end
-        kind, links = self._kinds(self._link, np.array(-1))
+        kind, links = self._outside
         if isinstance(solid, Ball):
             center = np.array(solid.center)
             part, away = point_to_segment(center, start, end)
@@ -298,7 +255,7 @@ class SpaceClearance:
                 on_link = start[k, m] + part[k, m, None] * (end[k, m] - start[k, m])
                 return on_link, np.broadcast_to(center, on_link.shape)
 
-            return _Block(kind, links, away - solid.radius - self._radius, to_center)
+            return Block(kind, links, away - solid.radius - self._radius, to_center)
         shape = solid.polyhedron
         bound, exact = least_height(shape, start, end)
         distance = bound - self._radius
@@ -308,29 +265,35 @@ class SpaceClearance:
             return gap - self._radius[m], start[k, m] + part[:, None] * (end[k, m] - start[k, m]), point
 
         k, m = np.nonzero((distance < near) & np.logical_not(exact))
-        distance[k, m] = measure(k, m)[0]
-        return _Block(kind, links, distance, lambda k, m: measure(k, m)[1:])
+        if len(k):
+            distance[k, m] = measure(k, m)[0]
+        return Block(kind, links, distance, lambda k, m: measure(k, m)[1:])
 
-    def _hull_to_solid(self, placed: _Placed, hull: _Hull, solid: Solid, near: float) -> _Block:
+    def _hull_to_solid(self, placed: Placed, h: int, solid: Solid, near: float) -> Block:
         """Faces of a polyhedron from rock or an obstacle; its edges are among the segments."""
-        middle, radius = hull.shape.ball
-        pose = placed.poses[hull.link]
-        corners = np.array([solid.center]) if isinstance(solid, Ball) else solid.polyhedron.corners
-        thickness = solid.radius if isinstance(solid, Ball) else 0.0
-        bound = solid.distance(pose.point(middle)) - radius
+        hull = self._hulls[h]
+        if isinstance(solid, Ball):
+            middle, radius = hull.shape.ball
+            corners, thickness = np.array([solid.center]), solid.radius
+            bound = solid.distance(placed.poses[hull.link].point(middle)) - radius
+        else:  # the most that a face of the solid has all of the polyhedron in front of it
+            corners, thickness = solid.polyhedron.corners, 0.0
+            edges = self._edges[h]
+            ends = np.concatenate([placed.start[:, edges], placed.end[:, edges]], axis=1)
+            bound = solid.polyhedron.above(ends).min(axis=1).max(axis=1)
         distance = bound[:, None]
 
         def measure(k: Indices) -> tuple[Vector, Vector, Vector]:
             inner = placed.within(hull, np.broadcast_to(corners, (len(k), *corners.shape)), k)
-            over, below, corner = _corners_over(hull.shape, inner)
+            over, below, corner = corners_over(hull.shape, inner)
             return over - thickness, placed.out(hull, below, k), corners[corner]
 
         k = np.flatnonzero(bound < near)
-        distance[k, 0] = np.maximum(measure(k)[0], bound[k])
-        kind, links = self._kinds(np.array([hull.link]), np.array(-1))
-        return _Block(kind, links, distance, lambda k, m: measure(k)[1:])
+        if len(k):
+            distance[k, 0] = np.maximum(measure(k)[0], bound[k])
+        return Block(*self._hull_outside[h], distance, lambda k, m: measure(k)[1:])
 
-    def _to_flat(self, placed: _Placed) -> _Block:
+    def _to_flat(self, placed: Placed) -> Block:
         """Projections of capsules and edges onto the wall plane from obstacles in it."""
         start, end, flat = placed.start, placed.end, self._flat
         lines = shapely.linestrings(np.stack([start, end], axis=-2)[..., :2])
@@ -344,20 +307,18 @@ class SpaceClearance:
             on_link = start[k, m] + part[:, None] * along
             return on_link, np.column_stack([ends[:, 1], on_link[:, 2]])
 
-        kind, links = self._kinds(self._link, np.array(-1))
-        return _Block(kind, links, distance, points)
+        return Block(*self._outside, distance, points)
 
-    def _around_flat(self, placed: _Placed) -> Iterator[_Block]:
+    def _around_flat(self, placed: Placed) -> Iterator[Block]:
         """Polyhedra whose projection holds an obstacle, so that their edges do not meet it."""
         rows = np.arange(len(placed.start))
-        for hull in self._hulls:
+        for h, hull in enumerate(self._hulls):
             for part in shapely.get_parts(self._flat):
                 x, y = shapely.get_coordinates(part.representative_point())[0]
                 plumb = [np.broadcast_to([x, y, z], (len(rows), 3)) for z in (-FAR, FAR)]
                 gap, _, point = segment_to_polyhedron(hull.shape, *(placed.within(hull, end, rows) for end in plumb))
                 distance = np.where(gap > 0.0, np.inf, 0.0)[:, None]
-                kind, links = self._kinds(np.array([hull.link]), np.array(-1))
-                yield _Block(kind, links, distance, partial(_itself, placed.out(hull, point, rows)))
+                yield Block(*self._hull_outside[h], distance, partial(_itself, placed.out(hull, point, rows)))
 
 
 def clearance_of(kinematics: Kinematics, wall: Wall) -> Clearance | SpaceClearance:
@@ -370,27 +331,3 @@ def clearance_of(kinematics: Kinematics, wall: Wall) -> Clearance | SpaceClearan
 def _itself(points: Vector, k: Indices, m: Indices) -> tuple[Vector, Vector]:
     """Where shapes overlap their closest points are one."""
     return points[k], points[k]
-
-
-def _edges_to(polyhedron: Polyhedron, a0: Vector, a1: Vector) -> tuple[Vector, Vector, Vector]:
-    """Least distance of edges (M, E, 3) from a polyhedron [m], (M,), and the closest points, (M, 3) each."""
-    M, E, _ = a0.shape
-    gap, part, point = (
-        x.reshape(M, E, -1) for x in segment_to_polyhedron(polyhedron, a0.reshape(-1, 3), a1.reshape(-1, 3))
-    )
-    best, rows = gap[..., 0].argmin(axis=1), np.arange(M)
-    on_edge = a0[rows, best] + part[rows, best] * (a1 - a0)[rows, best]
-    return gap[rows, best, 0], on_edge, point[rows, best]
-
-
-def _corners_over(polyhedron: Polyhedron, corners: Vector) -> tuple[Vector, Vector, Indices]:
-    """Least height of corners (M, V, 3) straight above a face of a polyhedron [m], infinite if none is; zero inside.
-
-    Returns:
-        Heights (M,), the points of the faces below, (M, 3), and which corner it is, (M,).
-    """
-    height, face = polyhedron.over_faces(corners)
-    best, rows = height.argmin(axis=1), np.arange(len(corners))
-    height, face = height[rows, best], face[rows, best]
-    drop = np.where(np.isfinite(height), height, 0.0)[:, None] * polyhedron.normals[face]
-    return height, corners[rows, best] - drop, best

@@ -87,13 +87,12 @@ class Polyhedron:
         Infinite for points nearest to an edge or a corner, zero inside the polyhedron.
         """
         above = self.above(points)
-        result, face = np.full(points.shape[:-1], np.inf), np.zeros(points.shape[:-1], dtype=np.int64)
-        for f in range(len(self.heights)):
-            # Dropped onto face f, a point is at above_g - above_f n_g . n_f above face g.
-            dropped = (above - above[..., f : f + 1] * self.leaning[f]).max(axis=-1)
-            over = (above[..., f] > 0.0) & (dropped <= ROUNDING) & (above[..., f] < result)
-            result, face = np.where(over, above[..., f], result), np.where(over, f, face)
-        return np.where((above <= 0.0).all(axis=-1), 0.0, result), face
+        # Dropped onto face f, a point is at above_g - above_f n_g . n_f above face g.
+        dropped = (above[..., None, :] - above[..., :, None] * self.leaning).max(axis=-1)  # (..., F)
+        height = np.where((above > 0.0) & (dropped <= ROUNDING), above, np.inf)
+        face = height.argmin(axis=-1)
+        nearest = np.take_along_axis(height, face[..., None], axis=-1)[..., 0]
+        return np.where((above <= 0.0).all(axis=-1), 0.0, nearest), face
 
     def distance(self, points: Vector) -> Vector:
         """Distance of points (..., 3) from the polyhedron [m], zero inside; shape (...)."""
