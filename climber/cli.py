@@ -56,6 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     from climber import __version__
     from climber.explain_command import add_explain_command
+    from climber.margin_table import add_margins_command
     from climber.simulate_command import add_simulate_command
     from climber.table_command import add_table_command
     from climber.wall_command import add_wall_command
@@ -73,6 +74,14 @@ def _parser() -> argparse.ArgumentParser:
     solve.add_argument(
         "--improve", type=_seconds, metavar="S", help="time for improving the climb once there is one [s]; 0 by default"
     )
+    solve.add_argument(
+        "--min-margin",
+        type=_margin,
+        action="append",
+        default=[],
+        metavar="KIND=SIZE",
+        help="what every phase must survive: friction or mass (shares), push [N], center or place [m], normal [rad]",
+    )
     solve.add_argument("--no-pictures", action="store_true", help="write plan.json only")
     solve.set_defaults(run=_solve)
 
@@ -80,6 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     verify.add_argument("plan", type=Path)
     verify.set_defaults(run=_verify)
 
+    margins = add_margins_command(commands)
     simulate = add_simulate_command(commands)
 
     draw = commands.add_parser("draw", help="draw the pictures of a plan file")
@@ -95,7 +105,7 @@ def _parser() -> argparse.ArgumentParser:
     wall = add_wall_command(commands)
     table = add_table_command(commands)
 
-    for command in (solve, verify, simulate, draw, robot, explain, wall, table):
+    for command in (solve, verify, margins, simulate, draw, robot, explain, wall, table):
         command.add_argument("--json", action="store_true", help="print the result as JSON")
     return parser
 
@@ -105,6 +115,14 @@ def _natural(text: str) -> int:
     if number < 0:
         raise argparse.ArgumentTypeError(f"{text}: a whole number, 0 or greater")
     return number
+
+
+def _margin(text: str) -> tuple[str, float]:
+    kind, _, size = text.partition("=")
+    try:
+        return kind, float(size)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text}: KIND=SIZE is expected, such as friction=0.1") from None
 
 
 def _positive(text: str) -> float:
@@ -122,6 +140,7 @@ def _seconds(text: str) -> float:
 
 
 def _solve(options: argparse.Namespace) -> int:
+    from climber.margin_table import margin_table
     from climber.plan import plan_climb
     from climber.scenario import load_scenario
 
@@ -141,6 +160,7 @@ def _solve(options: argparse.Namespace) -> int:
             time_limit=options.time_limit,
             objective=options.objective,
             improve=options.improve,
+            min_margin=dict(options.min_margin),
             report=report,
         )
         written = [options.out / "plan.json"]
@@ -190,6 +210,7 @@ def _solve(options: argparse.Namespace) -> int:
             console.print(f"  {robot.objective.kind} {last:.4g}{better}", markup=False)
         for limbs in _told(robot.stances):
             console.print(f"  {limbs}", style="dim", markup=False)
+        console.print(margin_table(robot))
     console.print(f"wrote {', '.join(str(path) for path in written)}")
     return OK
 

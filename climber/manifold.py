@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,9 @@ from climber.programs.torque import static_feasible
 from climber.robot import Indices, Robot
 from climber.stance import Contact, Vector
 from climber.wall import Wall
+
+if TYPE_CHECKING:
+    from climber.demands import Demands
 
 WEAK = 2.0  # times what a motor gives is far more than it gives
 
@@ -57,6 +61,7 @@ class Body:
     Attributes:
         robot: The robot.
         wall: The wall.
+        demands: The margins that its phases must have, if any.
         kinematics: Its kinematics.
         clearance: Its clearance.
         supports: Where the centre of mass may be over sets of contacts, as far as that is known yet; see `support_of`.
@@ -64,8 +69,8 @@ class Body:
             joint.
     """
 
-    def __init__(self, robot: Robot, wall: Wall) -> None:
-        self.robot, self.wall = robot, wall
+    def __init__(self, robot: Robot, wall: Wall, demands: Demands | None = None) -> None:
+        self.robot, self.wall, self.demands = robot, wall, demands
         self.kinematics = Kinematics(robot)
         self.clearance = clearance_of(self.kinematics, wall)
         self.supports: dict[tuple[Contact, ...], Region | None] = {}
@@ -73,6 +78,11 @@ class Body:
             limb_inverse(robot.planar, limb, chain)
             for limb, chain in zip(robot.limbs, self.kinematics.chains, strict=True)
         )
+
+    @property
+    def asked(self) -> str:
+        """What to add where a posture cannot be held, as margins may be asked for."""
+        return f" with the margins asked for ({self.demands.told()})" if self.demands and self.demands.least else ""
 
     def branches(self, q: Vector) -> tuple[int, ...]:
         """The branch of every limb at the configuration `q`, shape (nq,).

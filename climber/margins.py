@@ -8,7 +8,7 @@ but for `place`, see `programs.place_margin`. Greater margins than `CAPS` are no
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -25,18 +25,22 @@ from climber.wall import Wall
 
 # friction and mass as shares, push [N], center and place [m], normal [rad]
 CAPS: dict[MarginKind, float] = {
-    "friction": FrictionError.cap,
+    "friction": 1.0,
     "push": 1000.0,
     "mass": 1.0,
     "center": 1.0,
     "place": CAP,
-    "normal": NormalError.cap,
+    "normal": float(np.pi / 2),
 }
 SAFE = 1.0 - 1e-6  # for the rounding of who checks them
 
 
 def phase_margins(
-    robot: Robot, wall: Wall, phases: Sequence[Moving], kinds: Sequence[MarginKind] = MARGIN_KINDS
+    robot: Robot,
+    wall: Wall,
+    phases: Sequence[Moving],
+    kinds: Sequence[MarginKind] = MARGIN_KINDS,
+    caps: Mapping[MarginKind, float] = CAPS,
 ) -> list[dict[MarginKind, PhaseMargin]]:
     """The margins of each phase.
 
@@ -45,6 +49,7 @@ def phase_margins(
         wall: The wall, whose friction is what it is.
         phases: The phases.
         kinds: Which margins to compute.
+        caps: Greater ones are not looked for; the less, the sooner done.
     """
     result: list[dict[MarginKind, PhaseMargin]] = [{} for _ in phases]
     grips = wall_grips(wall, robot.dimension)
@@ -53,7 +58,7 @@ def phase_margins(
         places = [p for p, k in enumerate(counts) if k == count]
         several = _Several(PhaseInstants(robot, grips, [phases[p] for p in places]))
         for kind in kinds:
-            for p, margin in zip(places, several.margins(kind), strict=True):
+            for p, margin in zip(places, several.margins(kind, caps[kind]), strict=True):
                 result[p][kind] = margin
     return result
 
@@ -65,35 +70,35 @@ class _Several:
         self._phases = phases
         self._limbs = phases.robot.limb_names
 
-    def margins(self, kind: MarginKind) -> list[PhaseMargin]:
+    def margins(self, kind: MarginKind, cap: float) -> list[PhaseMargin]:
         """The margins of one kind."""
         phases, dimension = self._phases, self._phases.robot.dimension
         if kind == "friction":
-            slippery = FrictionError(phases.grips, phases.num_contacts, dimension)
+            slippery = FrictionError(phases.grips, phases.num_contacts, dimension, cap)
             worst = ErrorMargin(phases.instants, slippery, phases.grips.most.shape[1]).solve()
-            return self._told(kind, worst, [None] * len(worst.value), [None] * len(worst.value))
+            return self._told(cap, worst, [None] * len(worst.value), [None] * len(worst.value))
         if kind == "normal":
-            error = NormalError(phases.grips, phases.num_contacts, dimension)
+            error = NormalError(phases.grips, phases.num_contacts, dimension, cap)
             worst = ErrorMargin(phases.instants, error, phases.grips.most.shape[1]).solve()
             axes = [error.axis(p, int(w)) for p, w in enumerate(worst.which)]
-            return self._told(kind, worst, axes, [error.contact(int(w)) for w in worst.which])
+            return self._told(cap, worst, axes, [error.contact(int(w)) for w in worst.which])
         if kind == "place":
-            worst, toward = PlaceMargin(phases.instants, phases.lever, dimension).solve()
-            return self._told(kind, worst, list(toward), [int(w) for w in worst.which])
+            worst, toward = PlaceMargin(phases.instants, phases.lever, dimension, cap).solve()
+            return self._told(cap, worst, list(toward), [int(w) for w in worst.which])
         disturbance = {"push": phases.push, "mass": phases.mass, "center": phases.center}[kind]
         around = rays(disturbance.B.shape[2])
-        worst = DisturbanceMargin(phases.instants, disturbance.B, disturbance.C, CAPS[kind], around).solve()
+        worst = DisturbanceMargin(phases.instants, disturbance.B, disturbance.C, cap, around).solve()
         toward = around.directions[worst.which]
         if kind == "mass":  # heavier pulls down, lighter up
             toward = toward * phases.robot.gravity / max(float(np.linalg.norm(phases.robot.gravity)), 1e-300)
-        return self._told(kind, worst, list(toward), [None] * len(toward))
+        return self._told(cap, worst, list(toward), [None] * len(toward))
 
     def _told(
-        self, kind: MarginKind, worst: Worst, directions: Sequence[Vector | None], contacts: Sequence[int | None]
+        self, cap: float, worst: Worst, directions: Sequence[Vector | None], contacts: Sequence[int | None]
     ) -> list[PhaseMargin]:
         margins = []
         for p, (direction, contact) in enumerate(zip(directions, contacts, strict=True)):
-            if worst.value[p] >= (1.0 - 2.0 * GAP) * CAPS[kind]:  # nothing is worst
+            if worst.value[p] >= (1.0 - 2.0 * GAP) * cap:  # nothing is worst
                 direction = contact = None
             elif direction is not None and not np.any(direction):  # not survived at all, whatever the direction
                 direction = np.eye(3)[0]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -17,12 +17,12 @@ import numpy as np
 
 from climber.apart import why_apart
 from climber.curve import Curve, rounded
+from climber.demands import can_stand
 from climber.manifold import Body, Manifold
 from climber.objective import Objective
 from climber.path import Search, find_path
 from climber.phase_motion import MotionBudget, PhaseMotion, chained, timed
 from climber.programs.posture_chain import Instant, PostureChain
-from climber.programs.torque import static_feasible
 from climber.programs.trajectory import NUM_CONTROL, refine
 from climber.programs.whole_move import Meeting, refine_together
 from climber.solids import Region
@@ -34,6 +34,7 @@ from climber.transitions import MoveFailure
 Purpose = Literal["let go", "region", "swing"]
 BACK = (1.0, 0.7, 0.4, 0.2)  # how far a posture goes that cannot be held all the way
 STRAIGHT = 3e-3  # share by which a curve may be longer than a straight line and pass for one
+SLOWER = (1.0, 1.4, 2.0, 3.0, 5.0)  # how much slower a phase is tried that lacks some of a margin
 AT_ONCE = 3  # legs that are refined together: a shift, a swing, and the shift that follows
 
 
@@ -158,7 +159,8 @@ class PhasePlanner:
     def held(self, q: Vector, manifolds: Sequence[Manifold]) -> bool:
         """Whether contacts and motors can hold a posture still on each of the manifolds."""
         every = {manifold.contacts: None for manifold in manifolds}
-        return all(bool(static_feasible(self.body.robot, self.body.wall, q[None], list(c))[0]) for c in every)
+        body = self.body
+        return all(bool(can_stand(body.robot, body.wall, q[None], c, body.demands)[0]) for c in every)
 
     def curves(
         self, stretch: Stretch, a: Vector, b: Vector, budget: MotionBudget, rng: np.random.Generator
@@ -180,13 +182,22 @@ class PhasePlanner:
         """One phase in motion."""
         began = clock.perf_counter()
         contacts = stretch.manifold.contacts
-        motion = timed(self.body, contacts, [PacedPath(curve) for curve in curves], budget)
-        self.timing += clock.perf_counter() - began
-        if isinstance(motion, str):
-            return MoveFailure(stretch.move, "torque", Failure("budget", motion))
-        samples, torques, timing = motion
-        forces = torques.force, torques.torque, torques.moment
-        return PhaseMotion(stretch.limb, stretch.move, contacts, samples, *forces, timing)
+        paced, demands = [PacedPath(curve) for curve in curves], self.body.demands
+        try:
+            for slower in SLOWER if demands is not None and demands.looked_at else (1.0,):
+                motion = timed(self.body, contacts, paced, replace(budget, pace=budget.pace / slower))
+                if isinstance(motion, str):
+                    return MoveFailure(stretch.move, "torque", Failure("budget", motion))
+                samples, torques, timing = motion
+                forces = torques.force, torques.torque, torques.moment
+                result = PhaseMotion(stretch.limb, stretch.move, contacts, samples, *forces, timing)
+                if demands is None or not (lacking := demands.lacking(self.body.robot, [result])[0]):
+                    return result
+                if slower == 1.0 and demands.at_rest(self.body.robot, result):
+                    break
+            return MoveFailure(stretch.move, "torque", Failure("budget", lacking))
+        finally:
+            self.timing += clock.perf_counter() - began
 
     def all_timed(
         self, stretches: Sequence[Stretch], curves: Sequence[Curves], budget: MotionBudget

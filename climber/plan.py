@@ -13,7 +13,7 @@ Where searches gave up for want of time rather than by proof and nothing is left
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
@@ -22,11 +22,12 @@ from typing import cast
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
+from climber.demands import Demands
 from climber.exceptions import NoPlanFound
 from climber.graph import StanceGraph, build_stance_graph
 from climber.improve import Improver, Progress
 from climber.lessons import Lessons, OnFailure
-from climber.manifold import Body
+from climber.manifold import Body, Margins
 from climber.margins import phase_margins
 from climber.motion import DeadEnd, EmptyPiece, MotionPlanner, Regions
 from climber.phase_motion import MotionBudget, PhaseMotion
@@ -64,6 +65,7 @@ def plan_climb(
     time_limit: float | None = None,
     objective: ObjectiveKind | None = None,
     improve: float | None = None,
+    min_margin: Mapping[str, float] | None = None,
     report: Report = lambda message: None,
 ) -> Plan:
     """Plans the climb that a scenario asks for.
@@ -74,6 +76,7 @@ def plan_climb(
         time_limit: Replaces the scenario's time limit [s].
         objective: Replaces the scenario's objective.
         improve: Replaces the scenario's time for improving a climb once there is one [s].
+        min_margin: What every phase must survive at least, by kind; the scenario may ask for more.
         report: Called with a sentence whenever there is something to tell.
 
     Returns:
@@ -90,6 +93,8 @@ def plan_climb(
         scenario = replace(scenario, objective=objective)
     if improve is not None:
         scenario = replace(scenario, budget=replace(scenario.budget, improve_s=improve))
+    if min_margin is not None:
+        scenario = replace(scenario, min_margin=scenario.min_margin.raised(min_margin))
     if len(scenario.robots) > 1:
         from climber.team_plan import plan_team  # which is built on what is here
 
@@ -143,16 +148,18 @@ class ClimbSearch:
         self.times = {"graph": 0.0, "task": 0.0, "improve": 0.0}
         scenario = self.scenario
         self.spec = scenario.robots[self.index]
-        wall = scenario.build_wall()
         # What this robot must not enter is an obstacle to it.
-        wall = wall.closing(self.spec.avoid.regions)
+        wall = scenario.planning_wall().closing(self.spec.avoid.regions)
         self.robot = Robot(Model.load(self.spec.model, scenario.folder), wall.gravity)
         if len(scenario.robots) > 1 and not self.robot.planar:
             allowed = "a planar robot, as several climb"
             raise scenario.error(f"robots[{self.index}].model", self.spec.model, allowed)
         check_against_robot(scenario, self.index, self.robot.limb_names, self.robot.joint_limits, self.robot.planar)
-        self.body = Body(self.robot, wall)
-        self.finder = TransitionFinder(self.body, np.random.default_rng(self.seed), Effort.of(scenario.budget))
+        self.demands = Demands.of(scenario.build_wall(), scenario.min_margin)
+        self.body = Body(self.robot, wall, self.demands)
+        usual = Margins()
+        margins = replace(usual, balance=max(usual.balance, self.demands.balance))
+        self.finder = TransitionFinder(self.body, np.random.default_rng(self.seed), Effort.of(scenario.budget), margins)
         objective = cast(ObjectiveKind, scenario.objective)
         self.planner = MotionPlanner(self.finder, MotionBudget.of(scenario.budget), objective)
         self.progress = Progress()
@@ -305,8 +312,9 @@ class ClimbSearch:
         cuts = (
             f"{len(self.cuts)} moves were given up, {budget} of them because a search ended without finding any motion"
         )
+        given_up = cuts if self.cuts else "no move was given up"
         return NoPlanFound(
-            f"{self.scenario.name}: {verdict}: {reason}; {cuts if self.cuts else 'no move was given up'}",
+            f"{self.scenario.name}: {verdict}: {reason}; {given_up}{self._asked()}",
             proved=proved,
             cuts=self.cuts,
             removed=[] if lessons is None else lessons.moves_removed(),
@@ -315,6 +323,13 @@ class ClimbSearch:
             scenario=self.scenario,
             robot=self.index,
         )
+
+    def _asked(self) -> str:
+        """The margins asked for and one that was short, for the end of a sentence."""
+        if not self.demands.least:
+            return ""
+        short = next((cut.reason for cut in self.cuts if "the margin of" in cut.reason), "")
+        return f"; margins asked for: {self.demands.told()}" + (f"; {short}" if short else "")
 
     def record(self, moves: list[Move], index: int, failure: Failure, stage: str, where: str | None) -> None:
         """Notes a move that was given up, or the last one if the trouble is at the end."""
@@ -372,7 +387,7 @@ class ClimbSearch:
 
     def _phases(self, motions: list[PhaseMotion]) -> tuple[Phase, ...]:
         began = clock.perf_counter()
-        margins = phase_margins(self.robot, self.scenario.build_wall(), motions)
+        margins = phase_margins(self.robot, self.demands.wall, motions)
         self.times["margins"] = clock.perf_counter() - began
         return tuple(self._phase(motion, own) for motion, own in zip(motions, margins, strict=True))
 

@@ -129,7 +129,7 @@ class RelaxedClimb:
             ScenarioError: If the scenario does not fit the robot.
             ModelError: If the robot's model cannot be planned for.
         """
-        spec, wall = scenario.robots[index], scenario.build_wall()
+        spec, wall = scenario.robots[index], scenario.planning_wall()
         robot = Robot(Model.load(spec.model, scenario.folder), wall.gravity)
         check_against_robot(scenario, index, robot.limb_names, robot.joint_limits, robot.planar)
         limbs = robot.limb_names

@@ -27,6 +27,7 @@ from climber.scenario_fields import (
     FacetSpec,
     HoldDefaults,
     HoldSpec,
+    MinMargin,
     Place,
     PolygonSpec,
     RegionSpec,
@@ -49,6 +50,7 @@ __all__ = [
     "FacetSpec",
     "HoldDefaults",
     "HoldSpec",
+    "MinMargin",
     "Place",
     "PolygonSpec",
     "RegionSpec",
@@ -83,6 +85,11 @@ class Scenario(ScenarioFields):
             inclination_deg=self.wall.inclination_deg,
             facets=tuple(facet.build() for facet in self.wall.facets),
         ).closing(self.wall.obstacles)
+
+    def planning_wall(self) -> Wall:
+        """The wall with as much less friction as every phase must survive."""
+        wall = self.build_wall()
+        return wall.slippery(self.min_margin.drop) if self.min_margin.friction else wall
 
     def model_path(self, robot_index: int) -> Path:
         """The model file of one robot."""

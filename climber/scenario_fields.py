@@ -8,15 +8,19 @@ says so), forces in newtons, all in the wall frame W. A `rule` on a field says w
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import field
 from typing import cast
 
 import numpy as np
 from shapely.geometry import Point, Polygon
 
+from climber.exceptions import ScenarioError
 from climber.solids import Box, Convex, Cylinder, Facet, Region, Solid, Sphere, away, triple
 from climber.wall import GRIPS, Grip, Hold, circle
-from climber.yaml_tree import rule
+from climber.yaml_tree import nearest, rule
+
+SURE = 0.985  # margins are sought greater than asked for by this much, as they are found up to a hundredth
 
 
 @dataclasses.dataclass
@@ -368,6 +372,47 @@ class Budget:
 
 
 @dataclasses.dataclass
+class MinMargin:
+    """Margins that every phase of a plan must have, see docs/plan-format.md; zero asks for nothing.
+
+    Attributes:
+        friction: Share by which friction may be less.
+        push: Force on the pelvis at the centre of mass, in any direction [N].
+        mass: Share by which all masses may be off, up or down.
+        center: Displacement of the centre of mass, in any direction [m].
+        place: Displacement of any one hold [m].
+        normal: Angle by which the normal of any one hold may be turned [rad].
+    """
+
+    friction: float = field(default=0.0, metadata=rule(at_least=0.0, at_most=0.95))
+    push: float = field(default=0.0, metadata=rule(at_least=0.0, at_most=900.0))
+    mass: float = field(default=0.0, metadata=rule(at_least=0.0, at_most=0.95))
+    center: float = field(default=0.0, metadata=rule(at_least=0.0, at_most=0.9))
+    place: float = field(default=0.0, metadata=rule(at_least=0.0, at_most=0.019))
+    normal: float = field(default=0.0, metadata=rule(at_least=0.0, at_most=1.5))
+
+    @property
+    def drop(self) -> float:
+        """The share by which friction is less on the wall that is planned on."""
+        return self.friction / SURE
+
+    def raised(self, others: Mapping[str, float]) -> "MinMargin":
+        """The greater of these margins and others by name.
+
+        Raises:
+            ScenarioError: If there is no such margin, or it cannot be asked for.
+        """
+        fields = {each.name: each for each in dataclasses.fields(self)}
+        for name, value in others.items():
+            if name not in fields:
+                raise ScenarioError.at("min_margin", name, value, nearest(name, list(fields)))
+            limits = fields[name].metadata["rule"]
+            if not limits.holds_for(value):
+                raise ScenarioError.at("min_margin", name, value, f"a number{limits.bounds()}")
+        return MinMargin(**{name: max(getattr(self, name), others.get(name, 0.0)) for name in fields})
+
+
+@dataclasses.dataclass
 class ScenarioFields:
     """The fields of a scenario file.
 
@@ -381,6 +426,7 @@ class ScenarioFields:
         budget: What planning may spend.
         objective: What is to be little along the climb, of those with the fewest moves at the least cost: "length" in
             joint space, "time", or "margin", the nearness to falling and to the motors' limits.
+        min_margin: What every phase must survive.
         on_failure: What a motion that failed means to the task planner: "refine" bars its move from the piece of the
             stance's postures it was tried from, "cut" deletes the move, "penalise" makes it dearer.
     """
@@ -393,4 +439,5 @@ class ScenarioFields:
     cost: CostWeights = field(default_factory=CostWeights)
     budget: Budget = field(default_factory=Budget)
     objective: str = field(default="length", metadata=rule(choices=("length", "time", "margin")))
+    min_margin: MinMargin = field(default_factory=MinMargin)
     on_failure: str = field(default="refine", metadata=rule(choices=("refine", "cut", "penalise")))

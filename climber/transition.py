@@ -288,7 +288,7 @@ def find_transition(
             return Postures(ordered, q[chosen], branches[chosen], slack[chosen])
         too_heavy += len(q)
     if too_heavy:
-        reason = f"none of {too_heavy} postures can be held by the motors"
+        reason = f"none of {too_heavy} postures can be held by the motors{body.asked}"
         return Postures(ordered, *empty, Failure("budget", reason))
     what = "with the centre of mass supported and no collision" if reachable else "with every limb on its hold"
     return Postures(ordered, *empty, Failure("budget", f"no posture {what} among {drawn} pelvis poses"))

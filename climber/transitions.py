@@ -13,8 +13,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from climber.demands import can_stand
 from climber.manifold import Body, Manifold, Margins
-from climber.programs.torque import static_feasible
 from climber.scenario import Budget
 from climber.solids import Solid
 from climber.stance import Contact, Move, Vector
@@ -108,7 +108,7 @@ class TransitionFinder:
 
     def _carried(self, q: Vector, contacts: Sequence[Contact]) -> NDArray[np.bool_]:
         """Which configurations, shape (M, nq), the contacts can carry with the torques there are."""
-        return static_feasible(self.body.robot, self.body.wall, q, list(contacts))
+        return can_stand(self.body.robot, self.body.wall, q, contacts, self.body.demands)
 
     def arrival(self, support: tuple[Contact, ...], limb: int, hold: int) -> Postures:
         """Postures in which `limb` has just taken `hold`: at the patch's centre, or where else on it one exists."""
@@ -178,9 +178,8 @@ class TransitionFinder:
             if len(best):
                 return Postures(contacts, q[best], branches[best], slack[best])
         where = "" if region is None else " with the pelvis in the region"
-        return replace(
-            empty, failure=Failure("budget", f"no posture{where} among {sum(self.effort.rounds)} pelvis poses")
-        )
+        reason = f"no posture{where} among {sum(self.effort.rounds)} pelvis poses{self.body.asked}"
+        return replace(empty, failure=Failure("budget", reason))
 
 
 def _within(region: BaseGeometry | Solid, points: Vector) -> NDArray[np.bool_]:

@@ -60,7 +60,7 @@ def verify(plan: Plan | str | Path) -> Verdict:
         StructureChecks(robot, wall, spec, robot_plan, ledger).check()
         MotionChecks(robot, wall, spec, robot_plan, ledger).check()
         TimingChecks(robot, wall, robot_plan, ledger).check()
-        MarginChecks(robot, wall, robot_plan, ledger).check()
+        MarginChecks(robot, wall, vars(scenario.min_margin), robot_plan, ledger).check()
         ObjectiveChecks(robot, wall, robot_plan, ledger).check()
     if len(robots) > 1:
         TeamChecks(robots, read.robots, ledger).check()

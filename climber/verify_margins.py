@@ -11,7 +11,7 @@ which the plan gives a lower bound only.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -312,8 +312,8 @@ def _in_parts(needs: list[Need], dimension: int) -> tuple[list[Vector], Vector]:
 class MarginChecks:
     """Goes through the margins of a robot's phases and takes down what it finds."""
 
-    def __init__(self, robot: Robot, wall: Wall, plan: RobotPlan, ledger: Ledger) -> None:
-        self._robot, self._wall, self._plan, self._ledger = robot, wall, plan, ledger
+    def __init__(self, robot: Robot, wall: Wall, asked: Mapping[str, float], plan: RobotPlan, ledger: Ledger) -> None:
+        self._robot, self._wall, self._plan, self._ledger, self._asked = robot, wall, plan, ledger, asked
         self._planar = robot.planar
         self._dimension = 2 if robot.planar else 3
         samples = [Motion.samples(phase, plan, robot) for phase in plan.phases]
@@ -328,15 +328,20 @@ class MarginChecks:
 
     def check(self) -> None:
         """Checks every margin of every phase."""
+        for number, phase in enumerate(self._plan.phases):
+            for kind in MARGIN_KINDS:
+                if asked := self._asked[kind]:
+                    short = np.array([1.0 - phase.margins[kind].value / asked])
+                    self._ledger.note("asked margins", short, [self._label(number, kind)])
         self._ledger.faults("worst instants", [fault for n in range(len(self._plan.phases)) for fault in self._odd(n)])
         self._settle()
         knots = np.concatenate(
-            [phase.knots + span.start for phase, span in zip(self._phases, self._spans, strict=True)]
+            [needs.knots + span.start for needs, span in zip(self._phases, self._spans, strict=True)]
         )
         followed = self._mechanics.followed(knots)
-        for phase, span in zip(self._phases, self._spans, strict=True):
+        for needs, span in zip(self._phases, self._spans, strict=True):
             mine = (span.start <= knots) & (knots < span.stop)
-            phase.levers = followed[0][mine], followed[1][mine]
+            needs.levers = followed[0][mine], followed[1][mine]
         trials = [
             _Trial(needs, number, error) for number, needs in enumerate(self._phases) for error in self._errors(number)
         ]

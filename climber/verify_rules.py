@@ -78,6 +78,9 @@ RULES: Final[dict[str, Rule]] = {
     "margins": Rule(
         "errors of each kind are survived as claimed (force or torque lacking)", "at most", MARGIN, "N, N m"
     ),
+    "asked margins": Rule(
+        "every phase survives what the scenario asks for (shortfall, as a share)", "at most", SAME, ""
+    ),
     "worst instants": Rule("greater errors are not survived where the plan says so", "at most", 0, "faults"),
     "objective": Rule("the objective's value is that of the phases", "at most", VALUE, "m, rad, s"),
     "record": Rule("values on record go down to the plan's", "at most", 0, "faults"),

@@ -55,6 +55,15 @@ class Hold:
     adhesion: float = 0.0
     max_moment: float = 0.0
 
+    def slippery(self, drop: float) -> Hold:
+        """The hold with friction less by the share `drop`, and the least and greatest normal force as they were."""
+        if self.grip == "pin":
+            return self
+        friction = (1.0 - drop) * self.friction
+        # Along the edge of a narrower cone the same normal force is a smaller force.
+        edge = float(np.hypot(1.0, friction) / np.hypot(1.0, self.friction))
+        return replace(self, friction=friction, min_force=edge * self.min_force, max_force=edge * self.max_force)
+
 
 class Closed(Protocol):
     """A region of a scenario."""
@@ -123,6 +132,10 @@ class Wall:
     def rock(self) -> tuple[Solid, ...]:
         """All that robots in space must keep clear of, besides `obstacles`: what is behind each facet, and solids."""
         return (*(facet.solid for facet in self.facets), *self.solids)
+
+    def slippery(self, drop: float) -> Wall:
+        """The wall with the friction of every hold less by the share `drop`."""
+        return replace(self, holds=tuple(hold.slippery(drop) for hold in self.holds))
 
     def closing(self, regions: Iterable[Closed]) -> Wall:
         """The wall with regions closed to robots, no smaller than they are; a `RegionSpec` of a scenario is one."""

@@ -56,10 +56,11 @@ class Error(Protocol):
 class FrictionError:
     """Friction less by a share, at all contacts."""
 
-    count, cap = 1, 1.0
+    count = 1
 
-    def __init__(self, grips: Grips, num_contacts: int, dimension: int) -> None:
+    def __init__(self, grips: Grips, num_contacts: int, dimension: int, cap: float) -> None:
         """For phases of so many contacts, whose grips follow one another."""
+        self.cap = cap
         self._grips, self._k, self._dimension = grips, num_contacts, dimension
 
     def _of(self, phase: int) -> Grips:
@@ -89,10 +90,9 @@ class FrictionError:
 class NormalError:
     """One contact's normal turned about one of its axes [rad]."""
 
-    cap = float(np.pi / 2)
-
-    def __init__(self, grips: Grips, num_contacts: int, dimension: int) -> None:
+    def __init__(self, grips: Grips, num_contacts: int, dimension: int, cap: float) -> None:
         """For phases of so many contacts, whose grips follow one another."""
+        self.cap = cap
         self._grips, self._k, self._dimension = grips, num_contacts, dimension
         self._turns = int(grips.axes.shape[1])
         self.count = num_contacts * self._turns

@@ -115,18 +115,3 @@ def _grip(hold: Hold, dimension: int) -> Grips:
 def _alone(parts: tuple[Vector, ...]) -> Grips:
     base, along, most, more, axes, moment = (part[None] for part in parts)
     return Grips(base, along, most, more, axes, moment)
-
-
-def derated(wall: Wall, drop: float) -> Wall:
-    """The wall with friction less by the share `drop` and the limits of the normal forces as they were."""
-
-    def less(hold: Hold) -> Hold:
-        if hold.grip == "pin":
-            return hold
-        friction = (1.0 - drop) * hold.friction
-        edge = np.cos(np.arctan(hold.friction)) / np.cos(np.arctan(friction))
-        return replace(
-            hold, friction=friction, min_force=float(edge * hold.min_force), max_force=float(edge * hold.max_force)
-        )
-
-    return replace(wall, holds=tuple(less(hold) for hold in wall.holds))

@@ -64,9 +64,9 @@ def _corners(axes: int) -> Vector:
 class PlaceMargin:
     """The least of what the instants of each phase survive, whichever hold is off."""
 
-    def __init__(self, instants: Instants, lever: Lever, dimension: int) -> None:
-        """Prepares; `dimension` numbers for each contact force."""
-        self.instants, self.lever, self._dimension = instants, lever, dimension
+    def __init__(self, instants: Instants, lever: Lever, dimension: int, cap: float) -> None:
+        """Prepares; `dimension` numbers for each contact force; greater errors than `cap` [m] are not looked for."""
+        self.instants, self.lever, self._dimension, self._cap = instants, lever, dimension, cap
         self._corners = _corners(lever.B.shape[2])
         self._around = rays(dimension).directions
         # The polytope {f : around . f <= inside} is in the unit ball.
@@ -88,11 +88,11 @@ class PlaceMargin:
         near, center = self.instants[span], self.instants.center[span]
         slope = np.einsum("krn,kvn->krv", near.G, steps) + moment * self.lever.tight[span, contact, :, None]
         far = near.stepped(self._room[span, :, None], slope).min(axis=1)
-        far = np.minimum(far, CAP * 1e3 / moment)
+        far = np.minimum(far, self._cap * 1e3 / moment)
         own = slice(contact * self._dimension, (contact + 1) * self._dimension)
         force = center[:, None, own] + far[:, None, None] * steps[:, :, own]
         most = np.linalg.norm(force, axis=2).max(axis=1) + self.lever.omega[span, contact]
-        rho = np.minimum(far * moment / np.maximum(most, 1e-9), CAP)
+        rho = np.minimum(far * moment / np.maximum(most, 1e-9), self._cap)
         better = ~self._settled[span, contact] & (rho > self.survived[span, contact])
         self.survived[span, contact] = np.where(better, rho, self.survived[span, contact])
 
@@ -100,7 +100,7 @@ class PlaceMargin:
         """The margins, `which` being the contact, and the direction of displacement that is worst, (P, dimension)."""
         starts = self.instants.starts
         P = len(starts) - 1
-        value, best = np.zeros(P), np.full(P, CAP)
+        value, best = np.zeros(P), np.full(P, self._cap)
         worst, which, direction = starts[:-1].copy(), np.zeros(P, dtype=int), np.zeros((P, self._dimension))
         unfinished = list(range(P))
         while unfinished:
@@ -143,7 +143,7 @@ class PlaceMargin:
                 G[i, rows, first : first + dimension] = self._around
             G[:, rows, -2] = self._inside * omega[:, None]
             g[:, rows] = self._inside
-        G[:, -2, -1], g[:, -2] = 1.0, CAP
+        G[:, -2, -1], g[:, -2] = 1.0, self._cap
         G[:, -1, -2] = -1.0
         cost = np.zeros((N, size))
         cost[:, -1] = -1.0
@@ -165,7 +165,7 @@ class PlaceMargin:
                 axis=1,
             )
             self._follow(span, int(contact[i]), steps, rho / s)
-            self.survived[k[i], contact[i]] = max(self.survived[k[i], contact[i]], min(rho, CAP) * (1.0 - 1e-6))
+            self.survived[k[i], contact[i]] = max(self.survived[k[i], contact[i]], min(rho, self._cap) * (1.0 - 1e-6))
             room = at.g[i] - x @ at.G[i].T - rho / s * tight[i]
             tightest = int((room / self.instants.weight).min(axis=1).argmin())
             toward[i] = _across(self._corners[tightest], force[tightest])

@@ -109,9 +109,9 @@ class Instants:
             nearest = np.abs(places[:, None] - places[known]).argmin(axis=1)
             best, depth = best[known][nearest], depth[known][nearest]
         every = np.arange(len(self))
-        after = np.clip(np.searchsorted(places, every), 1, len(places) - 1)
-        before = after - 1
-        share = np.clip((every - places[before]) / (places[after] - places[before]), 0.0, 1.0)
+        after = np.searchsorted(places, every)
+        before = np.maximum(after - 1, 0)
+        share = (every - places[before]) / np.maximum(places[after] - places[before], 1)
         result = self.balanced(best[before] + share[:, None] * (best[after] - best[before]))
         expected = np.minimum(depth[before], depth[after])
         shallow = np.flatnonzero((self.room(result) / self.weight).min(axis=1) < 0.5 * expected)
