@@ -38,10 +38,9 @@ JERK = 1000.0  # [rad/s^3] of joints: full acceleration in some 50 ms
 # room to move in even where a posture is at the edge of what can be held.
 MARGIN = Margin(force=0.002)
 RESERVE = 0.7  # share of the accelerations that contacts and motors could make which a motion has
-INTERVALS = 20.0  # of the speed profile, per second at full joint rates
-FEWEST_AND_MOST = (16, 80)  # of these intervals
+INTERVALS = 15.0  # of the speed profile, per second at full joint rates
+FEWEST_AND_MOST = (12, 80)  # of these intervals
 OVERSHOOT = (1.02, 1.06, 1.4)  # times the limits of speed, acceleration and jerk that samples may have
-STILL = 80.0  # b that a leg of the shortest duration could have within its rate limits, if it is as good as still
 SHORTEST = 0.1  # [s] that any leg takes
 
 
@@ -188,9 +187,15 @@ def fastest_leg(
             return f"the robot cannot stand still at {at:.0%} of the way: {lacking[1]}"
         t[tight] = torque_blocks.least_violation(standing[tight])[0]
     dynamics = _dynamics(body, contacts, x, loads, standing, v, vd, limits)
-    # A leg that is as good as no way at all need not be fast.
-    still = dynamics.paced() > STILL
-    scaling = TimeScaling.steady(dynamics, profile, t) if still else TimeScalingProgram(dynamics, profile).solve()
+    scaling = None
+    if length == SHORTEST and dynamics.paced() >= 1.0:
+        # It keeps to its rate limits anyway. If forces do, too, it need not be any faster.
+        moving = instants_of(body, contacts, loads[0] + (loads[1] + loads[3]) / RESERVE, J)
+        forces = torque_blocks.unlimited(moving)
+        if moving.inside(forces).all():
+            scaling = TimeScaling.steady(dynamics, profile, forces)
+    if scaling is None:
+        scaling = TimeScalingProgram(dynamics, profile).solve()
     if scaling is None:
         return None
     # Forces for a motion between rest and one faster than it are between those of both.

@@ -388,7 +388,6 @@ def test_constraints_have_names_and_the_program_is_there_before_it_is_solved() -
         "cone",
         "speed",
         "positive",
-        "acceleration",
         "speed at the nodes",
         "time from node to node",
     }

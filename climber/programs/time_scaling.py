@@ -231,10 +231,10 @@ class TimeScalingProgram:
         self.constraints: dict[str, slice] = {}
         self._equal, self._below, self._round = _Rows(), _Rows(), _Rows()
         self._solver: clarabel.DefaultSolver | None = None
+        self._told: set[str] = set()  # of the limits that may be left out, those that are not
         self._balance(rest)
         self._forces()
         self._speeds(rest)
-        self._accelerations()
         self._time()
 
     # -- what rows are made of
@@ -293,12 +293,12 @@ class TimeScalingProgram:
             np.full(size, 0.0 if rest else -SLOWEST), (np.arange(size)[:, None], -np.ones((size, 1)))
         )
 
-    def _accelerations(self) -> None:
-        dynamics = self.dynamics
+    def _accelerations(self) -> _Rows:
+        """(8)."""
+        dynamics, rows = self.dynamics, _Rows()
         sign, i, j = self._both(self._N, np.isfinite(dynamics.acceleration))
-        self.constraints["acceleration"] = self._below.add(
-            dynamics.acceleration[j], self._of_speed(i, sign * dynamics.second[i, j], sign * dynamics.first[i, j])
-        )
+        rows.add(dynamics.acceleration[j], self._of_speed(i, sign * dynamics.second[i, j], sign * dynamics.first[i, j]))
+        return rows
 
     def _time(self) -> None:
         nodes, local = self._nodes, self._at_nodes
@@ -373,13 +373,48 @@ class TimeScalingProgram:
         return best
 
     def solve_at(self, reference: Vector) -> TimeScaling | None:
-        """The fastest timing for a reference b', shape (N,), positive; None if Clarabel finds none."""
-        parts = [self._equal, self._below, self._torques(reference), self._jerks(reference), self._round]
+        """The fastest timing for a reference b', shape (N,), positive; None if Clarabel finds none.
+
+        Limits of torques and accelerations are left out until a solution breaks them: one that keeps them without being
+        told to is as good.
+        """
+        while True:
+            solution = self._solved(reference)
+            broken = set() if solution is None else self._broken(solution) - self._told
+            if not broken:
+                return solution
+            self._told |= broken
+            self._solver = None
+
+    def _broken(self, scaling: TimeScaling) -> set[str]:
+        """Which of the limits that may be left out a timing breaks."""
+        dynamics, b, a = self.dynamics, scaling.b[:, None], scaling.a[:, None]
+        torque = dynamics.c[0] + dynamics.c[1] * b + dynamics.c[2] * a
+        torque -= np.einsum("kjn,kn->kj", dynamics.A, scaling.t)
+        if dynamics.damping is not None:
+            torque += dynamics.damping * np.sqrt(np.maximum(b, 0.0))
+        uses = {
+            "torque": np.abs(torque) / dynamics.torque,
+            "acceleration": np.abs(dynamics.second * b + dynamics.first * a) / dynamics.acceleration,
+        }
+        return {name for name, use in uses.items() if use.max(initial=0.0) > 1.0}
+
+    def _solved(self, reference: Vector) -> TimeScaling | None:
+        none = _Rows()
+        parts = [
+            self._equal,
+            self._below,
+            self._accelerations() if "acceleration" in self._told else none,
+            self._torques(reference) if "torque" in self._told else none,
+            self._jerks(reference),
+            self._round,
+        ]
         offsets = np.cumsum([0, *(part.count for part in parts)])
         values = np.concatenate([value for part in parts for value in part.values])
         right = np.empty(offsets[-1])
         for part, at in zip(parts, offsets, strict=False):
-            right[at + np.concatenate(part.places)] = np.concatenate(part.right)
+            if part.count:
+                right[at + np.concatenate(part.places)] = np.concatenate(part.right)
         if self._solver is None:
             rows = np.concatenate([row + at for part, at in zip(parts, offsets, strict=False) for row in part.rows])
             columns = np.concatenate([column for part in parts for column in part.columns])
@@ -414,7 +449,7 @@ class TimeScalingProgram:
         return clarabel.DefaultSolver(quadratic, cost, matrix, right, cones, settings)
 
     def _result(self, x: Vector, prices: list[Vector]) -> TimeScaling:
-        """The timing that is the solution x; prices are those of inequalities, torques, jerks and cones."""
+        """The timing that is the solution x; prices are those of the rows that are not equations."""
         N, dynamics = self._N, self.dynamics
         coefficients, duration = x[: self.profile.size], float(x[self._T : self._r].sum())
         b, a = self._local.values(coefficients)
@@ -427,14 +462,14 @@ class TimeScalingProgram:
                 active[i].add(names[j])
 
         forces, motors, coordinates = dynamics.names
-        below, by_torque, by_jerk, cones = prices
+        below, by_acceleration, by_torque, by_jerk, cones = prices
         note(forces[: len(dynamics.rows)], below[self.constraints["force"]])
         note(forces[len(dynamics.rows) :], cones[self.constraints["cone"]][::3])
         for i in np.flatnonzero(below[self.constraints["speed"]] > dear):
             active[i].add(dynamics.fastest[1][i])
         for kind, names, limits, price in (
             ("torque", motors, dynamics.torque[0], by_torque),
-            ("acceleration", coordinates, dynamics.acceleration, below[self.constraints["acceleration"]]),
+            ("acceleration", coordinates, dynamics.acceleration, by_acceleration),
             ("jerk", coordinates, dynamics.jerk, by_jerk),
         ):
             limited = [f"{kind} {name}" for name, limit in zip(names, limits, strict=True) if np.isfinite(limit)]
