@@ -33,6 +33,7 @@ ARGUMENTS = {
     "task": ("", "--walls W1 W3 --repeat 1 --questions 20"),
     "team": ("--encodings literal", "--skip-peers --repeat 1 --questions 10"),
     "refine": ("--legs 20", "--legs 3"),
+    "timing": ("", "--quick"),
     "solve": ("", "--quick"),
     "simulate": ("", "--quick"),
     "equilibrium3": ("", "--sets 2000 --one-by-one 50 --peer-sets 100"),

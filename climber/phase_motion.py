@@ -102,7 +102,7 @@ def timed(
     for path in paced:
         leg = _timed_leg(body, contacts, path, limits, budget)
         if leg is None:
-            return _slowed(body, contacts, paced, budget)
+            return by_fixed_law(body, contacts, paced, budget)
         if isinstance(leg, str):
             return leg
         legs.append(leg)
@@ -164,7 +164,7 @@ def _timed_leg(
     return f"the motion takes {leg.duration:.0f} s at its fastest: {why}"
 
 
-def _slowed(
+def by_fixed_law(
     body: Body, contacts: Sequence[Contact], paced: Sequence[PacedPath], budget: MotionBudget
 ) -> tuple[Samples, TorqueBatch, PhaseTiming] | str:
     """The path by one law of fixed shape, slowed until forces and torques produce it.

@@ -20,7 +20,7 @@ from climber.dynamics import evaluate
 from climber.exceptions import ModelError
 from climber.fastest import JERK, RESERVE, SHORTEST, FastLeg, RateLimits, fastest_leg, instants_of
 from climber.manifold import Body, Chart
-from climber.phase_motion import MotionBudget, timed
+from climber.phase_motion import MotionBudget, by_fixed_law, timed
 from climber.programs import torque_blocks
 from climber.programs.torque import phase_torques
 from climber.robot import Robot
@@ -184,6 +184,20 @@ def test_legs_one_after_the_other_have_claims_at_their_own_times() -> None:
     ends = np.array([interval[:2] for interval in timings.active[len(shifted) :]])
     assert ends == pytest.approx(np.array([interval[:2] for interval in shifted]))
     assert list(timings.active) == sorted(timings.active)
+
+
+def test_by_the_fixed_law_a_leg_takes_longer_and_longer_the_less_friction_there_is() -> None:
+    durations = []
+    for friction in (0.8, 0.02):
+        leg = shifting((0.03, 0.01, 0.2), friction=(friction,) * 4)
+        slow, fast = (f(leg.body, leg.contacts, [leg.path], MotionBudget()) for f in (by_fixed_law, timed))
+        assert not isinstance(slow, str) and not isinstance(fast, str)
+        assert slow[1].ok.all() and slow[2].method == "paced" and not slow[2].active
+        assert slow[0].time[-1] > fast[0].time[-1]
+        durations.append(slow[0].time[-1])
+    assert durations[1] > durations[0]
+    answer = by_fixed_law(leg.body, leg.contacts, [leg.path], MotionBudget(slowest=0.9 * durations[1]))
+    assert isinstance(answer, str) and "friction cone" in answer
 
 
 def test_a_place_where_the_robot_cannot_stand_is_named_with_the_limb_that_slips() -> None:
