@@ -37,6 +37,7 @@ from climber.replay import Replay
 from climber.robot import Model, Robot
 from climber.scenario import Scenario
 from climber.scene import Scene
+from climber.side_view import SideView
 from climber.silhouette import Silhouette
 from climber.svg import SvgCanvas
 
@@ -100,7 +101,10 @@ def draw_all(plan: Plan, folder: str | Path) -> list[Path]:
 
 
 def wall_picture(scenario: Scenario, surface: Surface = SvgCanvas) -> Canvas:
-    """Holds with friction cones, patches and numbers, obstacles, starts, goals, waypoints, and what to keep off."""
+    """Holds with friction cones, patches and numbers, obstacles, starts, goals, waypoints, and what to keep off.
+
+    A wall in space is seen from the side as well.
+    """
     wall = scenario.build_wall()
     colors = []
     for spec in scenario.robots:
@@ -112,7 +116,11 @@ def wall_picture(scenario: Scenario, surface: Surface = SvgCanvas) -> Canvas:
     entries = legend.wall_entries(wall) + marks.entries(scenario.robots, colors)
     left, top = 58.0, 58.0
     tall = max(height + 48.0, 22.0 * len(entries) + GAP)
-    canvas = surface(left + width + GAP + LEGEND_WIDTH, top + tall, scenario.name)
+    side, beside = SideView(wall) if SideView.worthwhile(wall) else None, 0.0
+    if side is not None:
+        across, up = side.upper - side.lower
+        beside = GAP + height * across / up
+    canvas = surface(left + width + beside + GAP + LEGEND_WIDTH, top + tall, scenario.name)
     canvas.text((left, 20.0), scenario.name, 17.0, INK, "start", bold=True)
     view = fit(lower, upper, left, top, width, height)
     paint_axes(canvas, view, 12.0)
@@ -122,7 +130,9 @@ def wall_picture(scenario: Scenario, surface: Surface = SvgCanvas) -> Canvas:
     for spec in scenario.robots:
         marks.paint_avoided_holds(canvas, view, wall, spec)
     paint_numbers(canvas, view, wall, 13.0, clear=marks.PLACE_RING)
-    legend.paint_column(canvas, entries, left + width + GAP, top)
+    if side is not None:
+        side.paint(canvas, left + width + GAP, top, beside - GAP, height)
+    legend.paint_column(canvas, entries, left + width + beside + GAP, top)
     return canvas
 
 
