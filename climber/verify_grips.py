@@ -17,7 +17,7 @@ class Grip:
     """What a hold can exert, besides a moment.
 
     Attributes:
-        moment: Greatest moment about W's z, either way [N m].
+        moment: Greatest moment about W's z, either way [N m]; none in space, where feet are points.
     """
 
     moment: float
@@ -25,7 +25,7 @@ class Grip:
     @staticmethod
     def of(hold: Hold, planar: bool = True) -> Grip:
         """A hold's grip on a robot in the wall plane, or on one in space."""
-        moment = hold.max_moment if hold.grip == "pin" else 0.0
+        moment = hold.max_moment if hold.grip == "pin" and planar else 0.0
         adhesion = hold.adhesion if hold.grip == "magnet" else 0.0
         normal, half_angle = np.array(hold.normal, dtype=float), float(np.arctan(hold.friction))
         if not planar:

@@ -25,39 +25,35 @@ ROUNDING = 1e-9  # [m]
 class _Reach:
     """How far the centre of mass can be in a direction across gravity, over r friction contacts and l pins.
 
-    Variables: normal forces a (r,) and tangential ones in parts of friction, B (2, r); forces of pins F (3, l); the sum
-    m of the moments on pins [m]; the centre of mass c (2,) across gravity from the contacts' centroid [m]. Forces and
-    moments are in weights.
+    Variables: normal forces a (r,) and tangential ones in parts of friction, B (2, r); forces of pins F (3, l); the
+    centre of mass c (2,) across gravity from the contacts' centroid [m]. Forces are in weights.
 
         maximise     direction . c
         subject to   sum of forces    = -weight                                  (3 rows)
-                     sum of moments + m z + c x weight = 0                       (3 rows)
+                     sum of moments + c x weight = 0                             (3 rows)
                      |B_i| <= a_i - lower_i,  |B_i| <= upper_i - a_i             two cones, apex to apex
-                     |F| <= most,  |m| <= turning
+                     |F| <= most
     """
 
     def __init__(self, cones: int, pins: int) -> None:
         import cvxpy  # takes half a second, which planning need not wait for
 
         self.a, self.B = cvxpy.Variable(max(cones, 1)), cvxpy.Variable((2, max(cones, 1)))
-        self.F, self.m, self.c = cvxpy.Variable(3 * max(pins, 1)), cvxpy.Variable(), cvxpy.Variable(2)
+        self.F, self.c = cvxpy.Variable(3 * max(pins, 1)), cvxpy.Variable(2)
         self.lower, self.upper = cvxpy.Parameter(max(cones, 1)), cvxpy.Parameter(max(cones, 1))
-        self.most, self.turning = cvxpy.Parameter(3 * max(pins, 1)), cvxpy.Parameter()
+        self.most = cvxpy.Parameter(3 * max(pins, 1))
         self.along = cvxpy.Parameter((6, max(cones, 1)))
         self.aside = [cvxpy.Parameter((6, max(cones, 1))) for _ in range(2)]
         self.pins = cvxpy.Parameter((6, 3 * max(pins, 1)))
         self.lever, self.load = cvxpy.Parameter((6, 2)), cvxpy.Parameter(6)
         self.direction = cvxpy.Parameter(2)
         wrench = self.along @ self.a + self.aside[0] @ self.B[0] + self.aside[1] @ self.B[1] + self.pins @ self.F
-        z = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
         constraints = [
-            wrench + z * self.m + self.lever @ self.c == self.load,
+            wrench + self.lever @ self.c == self.load,
             cvxpy.SOC(self.a - self.lower, self.B),
             cvxpy.SOC(self.upper - self.a, self.B),
             self.F <= self.most,
             -self.F <= self.most,
-            self.m <= self.turning,
-            -self.m <= self.turning,
         ]
         self.problem = cvxpy.Problem(cvxpy.Maximize(self.direction @ self.c), constraints)
 
@@ -128,7 +124,6 @@ class Polygon:
         program.along.value, program.lower.value, program.upper.value = along, lower, upper
         program.aside[0].value, program.aside[1].value = aside
         program.pins.value, program.most.value = at_pins, most
-        program.turning.value = sum(grip.moment for grip in self.grips) / size
         program.lever.value = np.vstack([np.zeros((3, 2)), np.cross(self.basis, self.weight / size).T])
         program.load.value, program.direction.value = load, direction
         for accuracy in ACCURACIES:

@@ -86,15 +86,6 @@ def test_a_pin_pulls_and_pushes_along_each_axis() -> None:
     np.testing.assert_allclose(forces.excess(np.array([[1.0, 7.0, 9.0]])), [1.0])
 
 
-def test_the_gripper_of_a_pin_turns_it_in_space_too() -> None:
-    forces = wall_forces(Wall((hold(0, 0, grip="pin", max_moment=2.0), hold(1, 0))), 3)
-    assert forces.lower.shape == (2, 4)
-    np.testing.assert_allclose(forces.upper[:, 3], [2.0, 0.0])
-    assert forces.moments is not None and forces.moments[0] == pytest.approx([0, 0, 0, 1])
-    limits = forces.limits()
-    assert len(limits.g) == 8 + 2 and limits.C.shape == (2, 3, 8)
-
-
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda s: s.name)
 @pytest.mark.parametrize("seed", range(3))
 def test_the_greatest_multiple_in_a_direction_is_that_of_a_program(section: Section, seed: int) -> None:

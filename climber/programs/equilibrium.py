@@ -171,13 +171,13 @@ class SupportProgram:
 class RegionProgram:
     """How far the centre of mass can be in a direction, for a robot in space in static equilibrium (Bretl 2006, B1-B3).
 
-    Given contacts i = 1..k at p_i [m] with forces f_i = o_i + G_i t_i [N] and moments n_i(t_i) about z [N m], the
-    weight w [N], the mean p_0 of the p_i, and unit vectors e_1 and e_2 across gravity:
+    Given contacts i = 1..k at p_i [m] with forces f_i = o_i + G_i t_i [N], the weight w [N], the mean p_0 of the p_i,
+    and unit vectors e_1 and e_2 across gravity:
 
         max         u . c
         over        t_1, ..., t_k, c in R^2
         subject to  (1) sum_i f_i + w = 0                                                          force balance
-                    (2) sum_i (p_i - p_0) x f_i + n_i + (c_1 e_1 + c_2 e_2 - p_0) x w = 0          torque balance
+                    (2) sum_i (p_i - p_0) x f_i + (c_1 e_1 + c_2 e_2 - p_0) x w = 0                torque balance
                     (3) t_i in two second-order cones, in pyramids, or in a box                    force limits
 
     Attributes:
@@ -204,8 +204,6 @@ class RegionProgram:
         self.c = self.prog.NewContinuousVariables(2, "c")
         arms = points - center
         turns = np.cross(arms[:, None], np.swapaxes(forces.generators, 1, 2))  # (k, p, 3)
-        if forces.moments is not None:
-            turns[..., 2] += forces.moments
         variables = np.concatenate([self.t.ravel(), self.c])
         force = np.hstack([np.moveaxis(forces.generators, 0, 1).reshape(3, -1), np.zeros((3, 2))])
         row = self.prog.AddLinearEqualityConstraint(force, -pull - forces.offset.sum(axis=0), variables)

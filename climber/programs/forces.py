@@ -12,7 +12,8 @@ In multiples, f = 2 cos(alpha) s n + 2 sin(alpha) (u_1 e_1 + u_2 e_2) with tange
 
 A plane through n cuts these cones in the parallelogram min_force <= t <= max_force of the multiples t = s +- u of the
 cone's two edges, Gönen's model; a robot in a plane has these two variables instead, and no cones. A pin gives a force
-within a box. A gripper on a pin may also turn it: a generator without direction then has a moment.
+within a box. In the plane a gripper on a pin may also turn it: a generator without direction then has a moment. In
+space feet are points, which turn nothing.
 """
 
 from __future__ import annotations
@@ -62,8 +63,8 @@ class ContactForces:
         upper: Greatest multiple of each generator [N], shape (..., p).
         moments: Moment about z that comes with each multiple, shape (..., p): zero, or one for a generator whose
             direction is zero and whose multiples are [N m]; None for no such generators.
-        round: Where the first three multiples are (u_1, u_2, s) of a friction cone in space, `lower[..., 2]` and
-            `upper[..., 2]` its two apexes, shape (...); elsewhere each multiple is limited by itself. None for nowhere.
+        round: In space, where the three multiples are (u_1, u_2, s) of a friction cone, `lower[..., 2]` and
+            `upper[..., 2]` its two apexes, shape (...); elsewhere each multiple is limited alone. None in the plane.
         section: What stands for the circle across the cones.
     """
 
@@ -136,8 +137,6 @@ class ContactForces:
         n, every = k * p, np.eye(k * p)
         wide = np.zeros(k, dtype=bool) if self.round is None else self.round
         boxed = np.repeat(~wide, p)
-        if p > 3:
-            boxed[3::p] = True  # moments
         first = np.flatnonzero(wide) * p  # of each friction cone's multiples
         u1, u2, s = every[first], every[first + 1], every[first + 2]
         R, g = [every[boxed], -every[boxed]], [upper[boxed], -lower[boxed]]
@@ -198,20 +197,6 @@ def _hold_numbers(wall: Wall) -> Mapping[str, Vector]:
     }
 
 
-def _with_moments(forces: ContactForces, moment: Vector) -> ContactForces:
-    """The forces with a further generator for the moment of each hold, if there is any."""
-    if not moment.any():
-        return forces
-    p = forces.lower.shape[1]
-    return replace(
-        forces,
-        generators=np.concatenate([forces.generators, np.zeros((len(moment), 3, 1))], axis=2),
-        lower=np.column_stack([forces.lower, -moment]),
-        upper=np.column_stack([forces.upper, moment]),
-        moments=np.tile(np.append(np.zeros(p), 1.0), (len(moment), 1)),
-    )
-
-
 def _in_plane(wall: Wall) -> ContactForces:
     """Friction: the two edges of the cone. Pin: the axes of the plane. Magnet: the edges, shifted by `adhesion`."""
     pin, numbers, normals = _pins(wall), _hold_numbers(wall), wall.normals
@@ -229,7 +214,16 @@ def _in_plane(wall: Wall) -> ContactForces:
         np.repeat(numbers["least"][:, None], 2, axis=1),
         np.repeat(numbers["most"][:, None], 2, axis=1),
     )
-    return _with_moments(forces, numbers["moment"])
+    moment = numbers["moment"]
+    if not moment.any():
+        return forces
+    return replace(
+        forces,
+        generators=np.concatenate([forces.generators, np.zeros((len(moment), 3, 1))], axis=2),
+        lower=np.column_stack([forces.lower, -moment]),
+        upper=np.column_stack([forces.upper, moment]),
+        moments=np.tile([0.0, 0.0, 1.0], (len(moment), 1)),
+    )
 
 
 def _in_space(wall: Wall, section: Section) -> ContactForces:
@@ -243,7 +237,7 @@ def _in_space(wall: Wall, section: Section) -> ContactForces:
     half = 0.5 * (most - least) * section.radius
     lower = np.where(pin[:, None], least[:, None], np.column_stack([-half, -half, least]))
     upper = np.where(pin[:, None], most[:, None], np.column_stack([half, half, most]))
-    forces = ContactForces(
+    return ContactForces(
         -numbers["adhesion"][:, None] * normals,
         np.where(pin[:, None, None], np.eye(3), cones),
         lower,
@@ -251,7 +245,6 @@ def _in_space(wall: Wall, section: Section) -> ContactForces:
         round=~pin,
         section=section,
     )
-    return _with_moments(forces, numbers["moment"])
 
 
 def weight_in_plane(wall: Wall, mass: float) -> float:

@@ -200,7 +200,8 @@ def support_regions(points: Vector, forces: ContactForces, pull: Vector, gap: fl
         gap: In space, how closely to enclose the polygons [m].
     """
     if forces.round is None:
-        return _intervals(points, forces, float(np.hypot(*pull[:2])))
+        ends = support_intervals(points, forces, float(np.hypot(*pull[:2])))
+        return as_intervals(ends, ends, np.full(len(ends), np.nan))
     if not np.linalg.norm(pull) > 0.0:
         raise ValueError("without weight a robot in space has its centre of mass anywhere")
     M = len(points)
@@ -208,7 +209,7 @@ def support_regions(points: Vector, forces: ContactForces, pull: Vector, gap: fl
     if not points.size:
         lines = outline(np.zeros(0, dtype=np.int64), M, lambda _, direction: (direction, direction[:, 0]), gap)
         direction[:], turning[:], shortfall[:] = -pull / np.linalg.norm(pull), 0.0, np.linalg.norm(pull)
-        return _polygons(lines, pull, direction, turning, shortfall)
+        return as_polygons(lines, pull, direction, turning, shortfall)
     parts = []
     for first in range(0, M, CHUNK):
         rows = slice(first, first + CHUNK)
@@ -224,7 +225,7 @@ def support_regions(points: Vector, forces: ContactForces, pull: Vector, gap: fl
             for name in ("direction", "point", "bound", "gap")
         ),
     )
-    return _polygons(lines, pull, direction, turning, shortfall)
+    return as_polygons(lines, pull, direction, turning, shortfall)
 
 
 def _held(wrenches: Wrenches) -> tuple[Wrenches, Vector, Mask, Vector]:
@@ -249,8 +250,16 @@ def _outlines(wrenches: Wrenches, gap: float) -> tuple[Outlines, tuple[Vector, V
     return outline(np.flatnonzero(good), len(wrenches), ask, gap), wrenches.shortfall(y)
 
 
-def _polygons(lines: Outlines, pull: Vector, direction: Vector, turning: Vector, shortfall: Vector) -> SupportRegions:
-    """Outlines as halfspaces in W."""
+def as_polygons(lines: Outlines, pull: Vector, direction: Vector, turning: Vector, shortfall: Vector) -> SupportRegions:
+    """Outlines as halfspaces in W.
+
+    Args:
+        lines: Outlines along the two vectors of `across`.
+        pull: The weight in W [N], shape (3,).
+        direction: See `SupportRegions`.
+        turning: See `SupportRegions`.
+        shortfall: See `SupportRegions`.
+    """
     M, basis = len(lines.gap), across(pull)
     normals, sides, corners = hulls(lines, M)
     count = np.bincount(lines.figure, minlength=M)
@@ -265,14 +274,15 @@ def _polygons(lines: Outlines, pull: Vector, direction: Vector, turning: Vector,
     )
 
 
-def _intervals(points: Vector, forces: ContactForces, weight: float) -> SupportRegions:
-    """The regions of a robot in the wall plane: exact, and without a gap."""
-    intervals = support_intervals(points, forces, weight)
-    M = len(intervals)
+def as_intervals(inner: Vector, outer: Vector, shortfall: Vector) -> SupportRegions:
+    """The regions of a robot in the wall plane, from intervals inside and outside of them [m], shape (M, 2) each."""
+    M = len(inner)
     x = np.array([1.0, 0.0, 0.0])
-    A, b = np.broadcast_to(np.stack([-x, x]), (M, 2, 3)), intervals * np.array([-1.0, 1.0])
-    empty = np.isnan(b[:, 0])
-    direction, turning, shortfall = np.full((M, 3), np.nan), np.full(M, np.nan), np.full(M, np.nan)
+    A = np.broadcast_to(np.stack([-x, x]), (M, 2, 3))
+    sides = np.array([-1.0, 1.0])
+    apart = (np.subtract(outer, inner, out=np.zeros_like(inner), where=np.isfinite(inner)) * sides).max(axis=1)
+    gap = np.where(np.isnan(inner[:, 0]), np.nan, apart)
+    direction, turning = np.full((M, 3), np.nan), np.full(M, np.nan)
     return SupportRegions(
-        x[None], A, b, intervals[..., None], A, b, np.where(empty, np.nan, 0.0), direction, turning, shortfall
+        x[None], A, inner * sides, inner[..., None], A, outer * sides, gap, direction, turning, shortfall
     )

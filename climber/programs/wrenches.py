@@ -1,11 +1,11 @@
 """Sets of contacts in space as programs over double cones: force balance, and where the centre of mass is.
 
-With contacts at p_i, forces f_i and moments n_i, the weight `pull` = W d downwards, d its unit direction, and all
+With contacts at p_i and forces f_i, the weight `pull` = W d downwards, d its unit direction, and all
 measured from the mean p_0 of the contacts,
 
     sum f_i + pull = 0                                    force balance
-    d . sum ((p_i - p_0) x f_i + n_i) = 0                 turning about the direction of gravity
-    W e . (c - p_0) = (d x e) . sum ((p_i - p_0) x f_i + n_i)    for e across gravity
+    d . sum (p_i - p_0) x f_i = 0                         turning about the direction of gravity
+    W e . (c - p_0) = (d x e) . sum (p_i - p_0) x f_i     for e across gravity
 
 the last being the rest of torque balance, which says where across gravity the centre of mass c is (Bretl 2006, B1-B3).
 """
@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from climber.programs.cone_solver import maximise_by_clarabel
 from climber.programs.double_cones import ConePrograms, ConeSolutions, Mask, Stop, greatest, maximise
-from climber.programs.double_pyramids import maximise_pyramids
 from climber.programs.forces import ContactForces
 from climber.programs.sections import Section
 from climber.robot import Indices
@@ -82,9 +82,6 @@ class Wrenches:
         twist = np.cross(arms, constant)
         scaled = forces.generators * half[..., None, :]  # (M, k, 3, p)
         moment = np.cross(arms[:, :, None], np.swapaxes(scaled, 2, 3))  # (M, k, p, 3)
-        if forces.moments is not None:
-            moment[..., 2] += forces.moments * half
-            twist[..., 2] += (forces.moments * middle).sum(axis=2)
         turns, at_rest = np.cross(down, basis) / weight, twist.sum(axis=1)
         rows = np.concatenate(
             [
@@ -129,8 +126,12 @@ class Wrenches:
 
     def _maximise(self, programs: ConePrograms, start: Vector, stop: Stop) -> ConeSolutions:
         if self.section.edges:
-            return maximise_pyramids(programs, start)
-        return maximise(programs, start, stop)
+            return maximise_by_clarabel(programs, start)
+        found = maximise(programs, start, stop)
+        doubtful = np.flatnonzero(~stop(found.value, found.bound))
+        if len(doubtful):
+            found.improve(doubtful, maximise_by_clarabel(programs[doubtful], start[..., doubtful]))
+        return found
 
     def reach(self, sets: Indices, direction: Vector, start: Vector, gap: float) -> tuple[Vector, Vector]:
         """How far the centre of mass can be in a direction across gravity.
@@ -175,15 +176,14 @@ class Wrenches:
 
 
 def _cones(rows: Vector, wide: Mask) -> Vector:
-    """Multiples as unit double cones: (r, M, k, p) to (r, 3, m, M); those of boxes are intervals, one cone each."""
-    p = rows.shape[3]
-    if wide.all() and p == 3:
+    """Multiples as unit double cones: (r, M, k, 3) to (r, 3, m, M); those of boxes are intervals, one cone each."""
+    if wide.all():
         return _last(rows)
-    boxes = np.zeros((*rows.shape[:3], p, 3))
-    for j in range(p):
-        boxes[..., j, 2] = rows[..., j] * (~wide if j < 3 else 1.0)
-    boxes[..., 0, :] += rows[..., :3] * wide[..., None]
-    return _last(boxes.reshape(*rows.shape[:2], -1, 3))
+    cones = np.zeros((*rows.shape, 3))
+    for j in range(3):
+        cones[..., j, 2] = rows[..., j] * ~wide
+    cones[..., 0, :] += rows * wide[..., None]
+    return _last(cones.reshape(*rows.shape[:2], -1, 3))
 
 
 def _last(rows: Vector) -> Vector:

@@ -1,4 +1,8 @@
-"""The programs of `climber.programs.double_cones` where pyramids stand for the cones: linear, and Clarabel's."""
+"""The programs of `climber.programs.double_cones` as Clarabel solves them.
+
+Where pyramids stand for the cones they are linear. With cones it is slower, and there for the few programs in a
+thousand that the method of that module does not get to the end of.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +16,14 @@ TOGETHER = 64  # programs in one call of the solver
 INSIDE = 1.0 - 1e-12
 
 
-def maximise_pyramids(programs: ConePrograms, start: Vector) -> ConeSolutions:
+def maximise_by_clarabel(programs: ConePrograms, start: Vector) -> ConeSolutions:
     """Solves programs.
 
     The solver is exact but for rounding, which is taken out of its points by going that little towards `start`.
 
     Args:
-        programs: The programs; their section is a polygon.
-        start: Points strictly inside the pyramids with E x = b, shape (3, m, B).
+        programs: The programs.
+        start: Points strictly inside the cones or pyramids with E x = b, shape (3, m, B).
     """
     u, B = programs.b.shape
     x, y = start.copy(), np.zeros((u, B))
@@ -37,14 +41,16 @@ def maximise_pyramids(programs: ConePrograms, start: Vector) -> ConeSolutions:
 
 def _solved(programs: ConePrograms, start: Vector) -> tuple[Vector, Vector]:
     """X (3, m, B) and y (u, B); where the solver gives up, the start and zero."""
-    sides = programs.section.sides
     u, _, m, B = programs.E.shape
-    n = 3 * m
-    R = np.zeros((2, len(sides), m, 3, m))
+    n, sides = 3 * m, programs.section.sides
+    R, C = np.zeros((2, len(sides), m, 3, m)), np.zeros((2, m, 3, 3, m))
     for i in range(m):
         R[:, :, i, :2, i] = sides
         R[0, :, i, 2, i], R[1, :, i, 2, i] = 1.0, -1.0
-    rows = R.reshape(-1, n)
+        C[:, i, 1, 0, i] = C[:, i, 2, 1, i] = 1.0
+        C[0, i, 0, 2, i], C[1, i, 0, 2, i] = -1.0, 1.0
+    rows, cones = R.reshape(-1, n), C.reshape(-1, 3, n) if not len(sides) else np.zeros((0, 3, n))
+    tops = np.broadcast_to([1.0, 0.0, 0.0], (B, len(cones), 3))
     found = solve_blocks_and_multipliers(
         None,
         -programs.a.reshape(n, B).T,
@@ -52,6 +58,8 @@ def _solved(programs: ConePrograms, start: Vector) -> tuple[Vector, Vector]:
         programs.b.T,
         np.broadcast_to(rows, (B, *rows.shape)),
         np.ones((B, len(rows))),
+        np.broadcast_to(cones, (B, *cones.shape)),
+        tops,
     )
     if found is not None:
         return found[0].T.reshape(3, m, B), found[1].T
@@ -62,6 +70,6 @@ def _solved(programs: ConePrograms, start: Vector) -> tuple[Vector, Vector]:
 
 
 def _size(programs: ConePrograms, x: Vector) -> Vector:
-    """How many times its own size each pyramid must be to hold x, shape (m, B)."""
+    """How many times its own size each cone or pyramid must be to hold x, shape (m, B)."""
     result: Vector = programs.section.size(np.moveaxis(x[:2], 0, -1)) + np.abs(x[2])
     return result
