@@ -16,7 +16,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,8 @@ from benchmarks.rows import Row
 from climber.curve import Curve, polyline_lengths, rounded, smooth
 from climber.manifold import Body, Manifold
 from climber.path import Leg, Search, find_path, flips
+from climber.phases import Curves, Stretch
+from climber.plan import ClimbSearch
 from climber.programs.kinematic_trajectory import KinematicTrajectoryProgram
 from climber.programs.posture import PostureProgram, distance, improve_posture
 from climber.programs.trajectory import NUM_CONTROL, ChartProgram, refine
@@ -165,12 +167,54 @@ def postures(samples: list[Sample]) -> None:
     print(f"  {len(nearer)} of {len(samples)} came nearer, to {np.mean(nearer):.2f} of the distance in the mean")
 
 
+def moves(name: str, seed: int) -> None:
+    """Times refining the moves of a scenario's climb: the legs of shift and swing one by one, then both as a whole.
+
+    A move counts what its own shift and swing take, and what refining them together with the shift that follows takes.
+    """
+    search = ClimbSearch(load_scenario(name), seed, 600.0, lambda message: None)
+    planner, rng = search.planner.phases, np.random.default_rng(seed)
+    joined = planner.joined
+    given: list[tuple[Sequence[Stretch], Sequence[Curves]]] = []
+
+    def noted(stretches: Sequence[Stretch], curves: Sequence[Curves]) -> tuple[Curves, ...]:
+        given.append((stretches, curves))
+        return joined(stretches, curves)
+
+    planner.joined = noted  # type: ignore[method-assign]
+    search.run()
+    every, whole = given[-1]  # the climb that was planned at last
+    times, before, after = [], 0.0, 0.0
+    for first in range(0, len(every) - 2, 2):
+        stretches, curves = every[first : first + 3], []
+        spent = 0.0
+        for stretch, own in zip(stretches, whole[first : first + 3], strict=True):
+            a, b = own[0].q(np.zeros(1))[0], own[-1].q(np.ones(1))[0]
+            legs = find_path(stretch.manifold, a, b, rng, Search(search.planner.budget.iterations)) or []
+            began = time.process_time()
+            refined = [refine(stretch.manifold, leg.chart, leg.u) for leg in legs]
+            spent += (len(curves) < 2) * (time.process_time() - began)
+            curves.append(tuple(curve for curve in refined if curve is not None))
+        if not all(curves):
+            continue
+        began = time.process_time()
+        together = joined(stretches, curves)
+        times.append(1e3 * (spent + time.process_time() - began))
+        before += sum(curve.length for own in curves for curve in own)
+        after += sum(curve.length for own in together for curve in own)
+    middle, high = np.percentile(times, [50, 90])
+    note = f"median of {len(times)}; p90 {high:.0f} ms; {after / before:.4f} of the length one by one"
+    Row(f"refining a move: {name}", float(middle), "ms", target=200.0, note=note).show()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--legs", type=int, default=40, help="legs of each kind and wall")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     print("processor times [ms]; length against the polyline's; bend: mean |q''| over length, feasible curves only")
+    for name in ("basic", "higher", "wider"):
+        moves(name, arguments.seed)
     for name in ("basic", "higher"):
         for kind in ("near", "far"):
             samples = collect(name, arguments.legs, arguments.seed, kind == "near")
