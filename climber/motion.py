@@ -178,6 +178,29 @@ class MotionPlanner:
         free_start: bool,
     ) -> Way | tuple[int, MoveFailure]:
         """The way by the chosen postures, or the first phase that did not work out and why."""
+        curves = self._curves(candidates, phases, chosen, known)
+        if isinstance(curves, tuple):
+            return curves
+        if candidates.barred:  # some of the postures have taken the place of others, and have not been drawn together
+            other = self._together(candidates, phases, chosen, free_start)
+            better = self._curves(candidates, phases, other, known) if other != chosen else curves
+            curves = curves if isinstance(better, tuple) else better
+        # Should a phase have no timing on curves that were shortened together, it may on its own.
+        for legs in (self.phases.joined(phases, curves), tuple(curves)):
+            motions = self.phases.all_timed(phases, legs, self.budget)
+            if isinstance(motions, list):
+                return Way.of(phases, legs, motions, free_start)
+            failure = motions
+        return failure
+
+    def _curves(
+        self,
+        candidates: Candidates,
+        phases: list[Stretch],
+        chosen: list[int],
+        known: dict[tuple[int, int, int], Curves],
+    ) -> list[Curves] | tuple[int, MoveFailure]:
+        """The curves of each phase between the chosen postures, or the first that has none and why."""
         postures, curves = self._along(candidates, chosen), []
         for i, phase in enumerate(phases):
             key = (i, chosen[i], chosen[i + 1])
@@ -187,13 +210,7 @@ class MotionPlanner:
                     return i, found
                 known[key] = found
             curves.append(known[key])
-        # Should a phase have no timing on curves that were shortened together, it may on its own.
-        for legs in (self.phases.joined(phases, curves), tuple(curves)):
-            motions = self.phases.all_timed(phases, legs, self.budget)
-            if isinstance(motions, list):
-                return Way.of(phases, legs, motions, free_start)
-            failure = motions
-        return failure
+        return curves
 
     def _layers(
         self, start: Postures, moves: Sequence[Move], regions: Regions, pieces: Mapping[int, Choice]
