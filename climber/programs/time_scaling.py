@@ -21,6 +21,7 @@ from climber.stance import Vector
 
 FASTEST = 100.0  # b is bounded by this: no motion is more than ten times as fast as the path's own pace
 SLOWEST = 1e-6  # and coefficients of b by this: nor a thousand times as slow
+LIKELY = 0.3  # share of the greatest jerk, against its limit, that makes another worth watching
 ROUNDS = 6  # after the first, at the most
 GAIN = 0.02  # share of the duration: a round that gains less is the last one
 GAP = 1e-6  # relative accuracy asked of the duration
@@ -93,6 +94,12 @@ class PathDynamics:
             if not self.first[place].any() and by_jerk.min() < most[place]:
                 most[place], names[place] = by_jerk.min(), f"jerk {self.names[2][int(by_jerk.argmin())]}"
         return np.minimum(most, FASTEST), names
+
+    @property
+    def jerky(self) -> Mask:
+        """The coordinates whose jerk limits are likely to count, shape (l,): near to the first in a paced motion."""
+        use = np.abs(self._bend).max(axis=0, initial=0.0) / self.jerk
+        return np.asarray((use > LIKELY * use.max(initial=0.0)) & np.isfinite(self.jerk))
 
     @property
     def _bend(self) -> Vector:
@@ -231,7 +238,9 @@ class TimeScalingProgram:
         self.constraints: dict[str, slice] = {}
         self._equal, self._below, self._round = _Rows(), _Rows(), _Rows()
         self._solver: clarabel.DefaultSolver | None = None
-        self._told: set[str] = set()  # of the limits that may be left out, those that are not
+        # Of the limits that may be left out those that are not, by motor or by coordinate.
+        motors, limited = dynamics.A.shape[1], dynamics.first.shape[1]
+        self._told = {"torque": np.zeros(motors, bool), "acceleration": np.zeros(limited, bool), "jerk": dynamics.jerky}
         self._balance(rest)
         self._forces()
         self._speeds(rest)
@@ -296,7 +305,7 @@ class TimeScalingProgram:
     def _accelerations(self) -> _Rows:
         """(8)."""
         dynamics, rows = self.dynamics, _Rows()
-        sign, i, j = self._both(self._N, np.isfinite(dynamics.acceleration))
+        sign, i, j = self._both(self._N, self._told["acceleration"])
         rows.add(dynamics.acceleration[j], self._of_speed(i, sign * dynamics.second[i, j], sign * dynamics.first[i, j]))
         return rows
 
@@ -320,7 +329,7 @@ class TimeScalingProgram:
     def _torques(self, reference: Vector) -> _Rows:
         """(4), its damping taken at the reference b' (N,)."""
         dynamics, rows = self.dynamics, _Rows()
-        sign, i, j = self._both(self._N, np.isfinite(dynamics.torque[0]))
+        sign, i, j = self._both(self._N, self._told["torque"])
         of_b, right = sign * dynamics.c[1][i, j], dynamics.torque[i, j] - sign * dynamics.c[0][i, j]
         if dynamics.damping is not None:  # sqrt(b) <= (sqrt(b') + b / sqrt(b')) / 2
             against, speed = np.maximum(sign * dynamics.damping[i, j], 0.0), np.sqrt(reference[i])
@@ -335,7 +344,7 @@ class TimeScalingProgram:
     def _jerks(self, reference: Vector) -> _Rows:
         """(9), its right side the tangent at the reference b' (N,)."""
         dynamics, rows = self.dynamics, _Rows()
-        sign, i, j = self._both(self._N - 1, np.isfinite(dynamics.jerk))
+        sign, i, j = self._both(self._N - 1, self._told["jerk"])
         mean = 0.5 * (reference[i] + reference[i + 1])
         most = dynamics.jerk[j] * np.diff(dynamics.x)[i] / np.sqrt(mean)
         half = 0.25 * most / mean  # for either b: the tangent is most (1.5 - 0.5 b / mean)
@@ -375,37 +384,42 @@ class TimeScalingProgram:
     def solve_at(self, reference: Vector) -> TimeScaling | None:
         """The fastest timing for a reference b', shape (N,), positive; None if Clarabel finds none.
 
-        Limits of torques and accelerations are left out until a solution breaks them: one that keeps them without being
-        told to is as good.
+        Limits of torque, acceleration and jerk are left out, motor by motor and coordinate by coordinate, until a
+        solution breaks them: one that keeps them without being told to is as good.
         """
         while True:
             solution = self._solved(reference)
-            broken = set() if solution is None else self._broken(solution) - self._told
-            if not broken:
+            if solution is None:
+                return None
+            broken = {name: over & ~self._told[name] for name, over in self._broken(solution).items()}
+            if not any(over.any() for over in broken.values()):
                 return solution
-            self._told |= broken
+            self._told = {name: told | broken[name] for name, told in self._told.items()}
             self._solver = None
 
-    def _broken(self, scaling: TimeScaling) -> set[str]:
-        """Which of the limits that may be left out a timing breaks."""
+    def _broken(self, scaling: TimeScaling) -> dict[str, Mask]:
+        """The motors or coordinates whose limits a timing breaks, by kind of limit."""
         dynamics, b, a = self.dynamics, scaling.b[:, None], scaling.a[:, None]
         torque = dynamics.c[0] + dynamics.c[1] * b + dynamics.c[2] * a
         torque -= np.einsum("kjn,kn->kj", dynamics.A, scaling.t)
         if dynamics.damping is not None:
             torque += dynamics.damping * np.sqrt(np.maximum(b, 0.0))
+        acceleration = dynamics.second * b + dynamics.first * a
+        steps = np.diff(dynamics.x) / np.sqrt(np.maximum(0.5 * (scaling.b[:-1] + scaling.b[1:]), SLOWEST))
         uses = {
             "torque": np.abs(torque) / dynamics.torque,
-            "acceleration": np.abs(dynamics.second * b + dynamics.first * a) / dynamics.acceleration,
+            "acceleration": np.abs(acceleration) / dynamics.acceleration,
+            "jerk": np.abs(np.diff(acceleration, axis=0)) / steps[:, None] / dynamics.jerk,
         }
-        return {name for name, use in uses.items() if use.max(initial=0.0) > 1.0}
+        return {name: use.max(axis=0, initial=0.0) > 1.0 for name, use in uses.items()}
 
     def _solved(self, reference: Vector) -> TimeScaling | None:
-        none = _Rows()
+        """The solution with the limits that are told."""
         parts = [
             self._equal,
             self._below,
-            self._accelerations() if "acceleration" in self._told else none,
-            self._torques(reference) if "torque" in self._told else none,
+            self._accelerations(),
+            self._torques(reference),
             self._jerks(reference),
             self._round,
         ]
@@ -467,12 +481,12 @@ class TimeScalingProgram:
         note(forces[len(dynamics.rows) :], cones[self.constraints["cone"]][::3])
         for i in np.flatnonzero(below[self.constraints["speed"]] > dear):
             active[i].add(dynamics.fastest[1][i])
-        for kind, names, limits, price in (
-            ("torque", motors, dynamics.torque[0], by_torque),
-            ("acceleration", coordinates, dynamics.acceleration, by_acceleration),
-            ("jerk", coordinates, dynamics.jerk, by_jerk),
+        for kind, names, price in (
+            ("torque", motors, by_torque),
+            ("acceleration", coordinates, by_acceleration),
+            ("jerk", coordinates, by_jerk),
         ):
-            limited = [f"{kind} {name}" for name, limit in zip(names, limits, strict=True) if np.isfinite(limit)]
+            limited = [f"{kind} {name}" for name, told in zip(names, self._told[kind], strict=True) if told]
             either = price[: 2 * (len(price) // 2)].reshape(2, -1)
             note(limited, either.max(axis=0, initial=0.0))
         t = x[self._t :].reshape(N, self._n)
