@@ -201,3 +201,26 @@ def test_stances_proved_out_of_reach_have_no_posture_and_moves_between_them_are_
     for feet in kinematics.feet(q):
         there = Wall(tuple(Hold(triple(p), (0.0, 1.0, 0.0), 0.5) for p in feet))
         assert not out_of_reach(robot, there, np.array([[0, 1, 2, 3]]))[0]
+
+
+@pytest.mark.parametrize("robot", [QUADRUPED, LEMUR])
+def test_holds_to_avoid_take_no_part_and_the_rest_of_the_graph_is_as_it_was(robot: DiskRobot) -> None:
+    kind, density = ("vertical", 25.0) if robot.dimension == 3 else ("plane", 60.0)
+    wall = make_wall(replace(KINDS[kind], holds=16, seed=1, density=density, spacing=0.05))
+    start = some_start(wall, robot)
+    whole = build_stance_graph(wall, robot, start, WEIGHTS)
+    avoid = next(hold for hold in range(16) if hold not in start.holds and (whole.stances == hold).any())
+    less = build_stance_graph(wall, robot, start, WEIGHTS, [avoid])
+    assert not (less.stances == avoid).any()
+
+    def edges(graph: StanceGraph) -> dict[tuple[tuple[int, ...], tuple[int, ...]], int]:
+        ends = graph.stances.tolist()
+        columns = zip(graph.tail, graph.head, graph.cost.tolist(), strict=True)
+        return {(tuple(ends[tail]), tuple(ends[head])): cost for tail, head, cost in columns}
+
+    kept = {ends: cost for ends, cost in edges(whole).items() if avoid not in ends[0] + ends[1]}
+    found = edges(less)
+    assert found.items() <= kept.items()
+    # What is missing starts where only stances on the hold to be avoided lead to.
+    reached = {tail for tail, _ in found} | {head for _, head in found}
+    assert not any(tail in reached for tail, _ in kept.keys() - found.keys())
