@@ -52,7 +52,9 @@ class LeastMargin:
     def size(self) -> str:
         """The value as people read it."""
         _, unit, times = TOLD[self.kind]
-        return f"{times * self.value:.3g} {unit}"
+        # Where nothing is worst the value is as great as they are told.
+        most = self.direction is None and (self.kind != "friction" or self.value > 0.98)
+        return f"{'≥ ' if most else ''}{times * self.value:.3g} {unit}"
 
     @property
     def way(self) -> str:

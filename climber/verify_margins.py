@@ -2,8 +2,8 @@
 
 A margin says that the motion of a phase survives errors of one kind up to a size: at every sample there are contact
 forces that balance the robot, keep to what the holds can then give, and need no torque beyond the motors' limits. The
-claim is tried at every sample (errors of a hold's place: at one in `SPARSE`) in `AROUND` directions: first with forces
-near ones well inside the limits, then near forces found for other samples; where these will not do, a conic program
+claim is tried at every sample (a hold's place: at one in `SPARSE`) in directions all around: first with forces near
+ones well inside the limits, then near forces found for other samples; where these will not do, a conic program
 finds the least by which limits must be left. At the instant that the plan names as the worst, an error greater by a
 share of `SHORT` must not be survived (in space with a little less friction), but for errors of a hold's place, of
 which the plan gives a lower bound only.
@@ -39,6 +39,10 @@ UNSURVIVED = 1e-8  # [N, N m] what must be lacking at a greater error
 SPARSE = 10
 TIME = 1e-5  # [s] the same instant
 STEP = 1e-5  # [m] of differences
+EVERYWHERE = np.array(
+    [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], dtype=float
+)
+EVERYWHERE /= np.linalg.norm(EVERYWHERE, axis=1, keepdims=True)
 # Greater margins than these are given as these: shares, N, m, rad.
 MOST: dict[MarginKind, float] = {
     "friction": 1.0,
@@ -72,7 +76,8 @@ class Mechanics:
         displaced: What a centre of mass displaced by 1 m adds to the load, fixed to the pelvis, shape (K, nv, 3).
     """
 
-    def __init__(self, robot: Robot, samples: Motion) -> None:
+    def __init__(self, robot: Robot, samples: Motion, gripped: bool) -> None:
+        """Evaluates all; `gripped` says whether holds can turn feet at all."""
         self._robot, self._tree, self._samples, self.gravity = robot, Tree(robot), samples, robot.gravity
         self._dimension = 2 if robot.planar else 3
         tree, q, v, vd = self._tree, samples.q, samples.v, samples.vd
@@ -81,18 +86,18 @@ class Mechanics:
         self.load = tree.required_force(poses, v, vd, none)
         self.columns = self._columns(tree, q, range(limbs))
         self.turns = np.zeros((len(q), limbs, v.shape[1]))
-        for limb in range(limbs):
+        for limb in range(limbs) if gripped else ():
             moment = np.zeros((len(q), limbs))
             moment[:, limb] = 1.0
             self.turns[:, limb] = tree.required_force(poses, v, vd, none, moment) - self.load
         self.heavier = tree.heavier(2.0).required_force(poses, v, vd, none) - self.load
         R = tree.pelvis_turned(poses)
-        own = [tree.off_center(axis).required_force(poses, v, vd, none) - self.load for axis in np.eye(3)]
-        self.displaced = np.einsum("pkv,kwp->kvw", np.array(own), R)
+        axes = np.eye(3)[: self._dimension]
+        own = [tree.off_center(axis).required_force(poses, v, vd, none) - self.load for axis in axes]
+        self.displaced = np.einsum("pkv,kwp->kvw", np.array(own), R[:, :, : self._dimension])
         out = np.einsum("kwp,kw->kp", R, tree.center_of_mass(poses) - tree.pelvis(poses))
-        held = tree.held_at(np.concatenate([np.zeros((1, 3)), np.eye(3)]))
-        points = self._columns(held, q, range(4))
-        self.pushed = points[:, 0] + np.einsum("kp,kpvw->kvw", out, points[:, 1:] - points[:, :1])
+        points = self._columns(tree.held_at(np.concatenate([np.zeros((1, 3)), axes])), q, range(1 + len(axes)))
+        self.pushed = points[:, 0] + np.einsum("kp,kpvw->kvw", out[:, : len(axes)], points[:, 1:] - points[:, :1])
 
     def _columns(self, tree: Tree, q: Vector, limbs: range) -> Vector:
         """What forces of 1 N on the feet add to the required force, (K, len(limbs), nv, 3)."""
@@ -320,7 +325,7 @@ class MarginChecks:
         ends = np.cumsum([0, *(len(motion.time) for motion in samples)])
         self._spans = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         whole = Motion(*(np.concatenate([vars(motion)[name] for motion in samples]) for name in vars(samples[0])))
-        self._time, self._mechanics = whole.time, Mechanics(robot, whole)
+        self._time, self._mechanics = whole.time, Mechanics(robot, whole, any(hold.max_moment for hold in wall.holds))
         self._phases = [
             _Needs(robot, wall, phase, span, self._mechanics, whole)
             for phase, span in zip(plan.phases, self._spans, strict=True)
@@ -377,7 +382,7 @@ class MarginChecks:
         """The errors that a phase claims to survive."""
         phase = self._plan.phases[number]
         gravity = self._wall.gravity / np.linalg.norm(self._wall.gravity)
-        around = self._around(np.array([0.0, 0.0, 1.0]))
+        around = self._around(np.array([0.0, 0.0, 1.0])) if self._planar else EVERYWHERE
         for kind in MARGIN_KINDS:
             size = phase.margins[kind].value
             if size == 0.0:  # nothing is claimed
