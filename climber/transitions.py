@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +18,8 @@ from climber.scenario import Budget
 from climber.solids import Solid
 from climber.stance import Contact, Move, Vector
 from climber.transition import Failure, Postures, find_transition, first_carried, posture_sampler, support_of
+
+BRIEFLY = (500,)  # pelvis poses drawn for places on a patch in space beside its middle
 
 Stage = Literal["transition", "motion", "torque"]
 
@@ -88,11 +89,18 @@ class TransitionFinder:
             key: found for key, found in self._found.items() if found.failure is None or found.failure.kind == "proved"
         }
 
-    def transition(self, contacts: tuple[Contact, ...], limb: int) -> Postures:
-        """Postures on `contacts` in which `limb` may let go or has just taken hold; found once."""
+    def transition(self, contacts: tuple[Contact, ...], limb: int, rounds: Sequence[int] | None = None) -> Postures:
+        """Postures on `contacts` in which `limb` may let go or has just taken hold; found once.
+
+        Args:
+            contacts: The contacts of all limbs.
+            limb: The limb.
+            rounds: Pelvis poses drawn in each round; as many as the effort says by default.
+        """
         key = (contacts, limb)
         if key not in self._found:
             began = clock.perf_counter()
+            drawn = self.effort.rounds if rounds is None else rounds
             holding = [c for c in contacts if c.limb != limb]
 
             def carried(q: Vector) -> NDArray[np.bool_]:
@@ -101,7 +109,7 @@ class TransitionFinder:
                 return good
 
             self._found[key] = find_transition(
-                self.body, contacts, limb, self.rng, self.margins, self.effort.rounds, self.effort.postures, carried
+                self.body, contacts, limb, self.rng, self.margins, drawn, self.effort.postures, carried
             )
             self.seconds += clock.perf_counter() - began
         return self._found[key]
@@ -120,11 +128,14 @@ class TransitionFinder:
         if found.failure is not None and found.failure.kind == "proved":  # wherever on the patch
             return found
         first = found
-        # In space a patch is a disk, in the plane a segment.
-        ways = ((1.0, 0.0),) if self.body.robot.planar else ((1.0, 0.0), (0.0, 1.0))
-        for share, (along, across) in itertools.product((1.0, -1.0, 0.5, -0.5), ways):
-            moved = replace(centre, offset=share * half_width * along, across=share * half_width * across)
-            found = self.transition(ordered((*support, moved)), limb)
+        # In the plane a patch is a segment. In space it is a disk, small beside what a limb reaches: its rim will do.
+        planar = self.body.robot.planar
+        places = (
+            [(s, 0.0) for s in (1.0, -1.0, 0.5, -0.5)] if planar else [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
+        )
+        for along, across in places:
+            moved = replace(centre, offset=along * half_width, across=across * half_width)
+            found = self.transition(ordered((*support, moved)), limb, self.effort.rounds if planar else BRIEFLY)
             if len(found):
                 return found
         assert first.failure is not None
