@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
@@ -32,6 +32,7 @@ def depth(region: Region) -> float:
     return np.inf if answer.status == 3 else float(-answer.fun)
 
 
+@settings(max_examples=50, deadline=None)
 @given(seeds)
 def test_depth_is_what_linear_programming_finds(seed: int) -> None:
     region = polygon(seed)
@@ -42,6 +43,7 @@ def test_depth_is_what_linear_programming_finds(seed: int) -> None:
         assert region.depth >= 1e3 - 1
 
 
+@settings(max_examples=50, deadline=None)
 @given(seeds, st.floats(0.0, 0.5))
 def test_margin_moves_borders_inwards_but_never_past_two_fifths_of_the_depth(seed: int, margin: float) -> None:
     region = polygon(seed)
@@ -52,6 +54,7 @@ def test_margin_moves_borders_inwards_but_never_past_two_fifths_of_the_depth(see
         assert shrunk.depth >= (1 - LEAST) * region.depth - 1e-9
 
 
+@settings(max_examples=50, deadline=None)
 @given(seeds, seeds)
 def test_points_of_the_intersection_are_those_of_both(one: int, two: int) -> None:
     a, b = polygon(one), polygon(two)
@@ -61,6 +64,7 @@ def test_points_of_the_intersection_are_those_of_both(one: int, two: int) -> Non
     assert len(a.meet(a).b) == len(a.b)
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.floats(-1, 1), st.floats(-1, 1))
 def test_interval_is_two_halfspaces(lower: float, upper: float) -> None:
     region = Region.interval(lower, upper)

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.spatial.transform import Rotation
@@ -52,6 +52,7 @@ def test_pelvis_that_floats_is_in_the_walls_frame_at_zero_and_its_origin_reads_o
     assert LEMUR.pelvis.EvalPoseInWorld(context).translation().tolist() == [1.0, 2.0, 3.0]
 
 
+@settings(max_examples=50, deadline=None)
 @given(seeds)
 def test_attitude_of_the_pelvis_is_the_plants(seed: int) -> None:
     context = LEMUR.context()
@@ -61,6 +62,7 @@ def test_attitude_of_the_pelvis_is_the_plants(seed: int) -> None:
         assert R == pytest.approx(LEMUR.pelvis.EvalPoseInWorld(context).rotation().matrix(), abs=1e-14)
 
 
+@settings(max_examples=50, deadline=None)
 @given(seeds)
 def test_rates_of_positions_and_velocities_are_the_plants_each_the_inverse_of_the_other(seed: int) -> None:
     context = LEMUR.context()
@@ -74,6 +76,7 @@ def test_rates_of_positions_and_velocities_are_the_plants_each_the_inverse_of_th
     assert LEMUR.qdot(q[0], v[0]) == pytest.approx(qdot[0])  # one configuration as well as many
 
 
+@settings(max_examples=50, deadline=None)
 @given(seeds)
 def test_accelerations_are_the_change_of_velocities(seed: int) -> None:
     q, qdot = states(seed)
@@ -85,6 +88,7 @@ def test_accelerations_are_the_change_of_velocities(seed: int) -> None:
     assert first == pytest.approx(qdot, abs=1e-11) and second == pytest.approx(qddot, abs=1e-10)
 
 
+@settings(max_examples=50, deadline=None)
 @given(seeds)
 def test_jacobians_by_positions_do_to_rates_of_positions_what_those_by_velocities_do_to_velocities(seed: int) -> None:
     q, qdot = states(seed)
@@ -93,6 +97,7 @@ def test_jacobians_by_positions_do_to_rates_of_positions_what_those_by_velocitie
     assert by_positions == pytest.approx(np.einsum("k...i,ki->k...", J, LEMUR.v_of(q, qdot)), abs=1e-12)
 
 
+@settings(max_examples=50, deadline=None)
 @given(seeds)
 def test_a_planar_robots_velocities_are_the_rates_of_its_positions(seed: int) -> None:
     q, v, vd = np.random.default_rng(seed).uniform(-3, 3, (3, 5, TREE.plant.num_positions()))
@@ -101,6 +106,7 @@ def test_a_planar_robots_velocities_are_the_rates_of_its_positions(seed: int) ->
     assert np.array_equal(TREE.vd_of(q, v, vd), vd) and np.array_equal(TREE.by_positions(q, v), v)
 
 
+@settings(max_examples=50, deadline=None)
 @given(seeds)
 def test_every_attitude_has_positions(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -122,6 +128,7 @@ def test_rates_are_tame_all_round_a_corner_and_all_round_a_spin_and_wild_only_wh
         assert (np.abs(LEMUR.qdot(q, v)).max() > 10) == wild
 
 
+@settings(max_examples=50, deadline=None)
 @given(seeds)
 def test_unwound_angles_are_the_same_pose_within_half_a_turn_of_the_reference(seed: int) -> None:
     q, reference = states(seed)

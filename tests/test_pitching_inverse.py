@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -86,6 +86,7 @@ def apart(a: Vector, b: Vector) -> Vector:
     return result
 
 
+@settings(max_examples=50, deadline=None)
 @given(shapes, seeds)
 def test_every_branch_puts_the_foot_on_a_point_in_reach_and_one_is_where_it_came_from(shape: int, seed: int) -> None:
     limb, chain, inverse = limb_of(shape)
@@ -106,6 +107,7 @@ def test_every_branch_puts_the_foot_on_a_point_in_reach_and_one_is_where_it_came
     assert np.abs(q[0] - middle)[:, inverse.leading :].max() <= np.pi + 1e-9
 
 
+@settings(max_examples=50, deadline=None)
 @given(shapes, seeds)
 def test_there_are_no_other_solutions(shape: int, seed: int) -> None:
     """Newton's method from anywhere ends on one of the branches."""
@@ -131,6 +133,7 @@ def test_there_are_no_other_solutions(shape: int, seed: int) -> None:
             assert apart(solved[0, branch], row).max() < 1e-5
 
 
+@settings(max_examples=50, deadline=None)
 @given(shapes, seeds)
 def test_reach_is_the_least_room_and_beyond_it_no_posture_comes_to_the_point(shape: int, seed: int) -> None:
     _, chain, inverse = limb_of(shape)
@@ -160,6 +163,7 @@ def test_sides_that_the_limits_rule_out_are_no_branches() -> None:
         assert slack[0] == pytest.approx([0.05] * 2)  # to where the finger points straight down
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.integers(0, 3), st.integers(0, 1), st.floats(-2.6, 2.6))
 def test_with_the_finger_stretched_out_the_bend_is_in_its_range_exactly_within_reach(
     number: int, branch: int, bend: float
