@@ -37,7 +37,7 @@ JERK = 1000.0  # [rad/s^3] of joints: full acceleration in some 50 ms
 # What the samples keep to: less than what postures are chosen with (`climber.programs.torque.MARGIN`), so that there is
 # room to move in even where a posture is at the edge of what can be held.
 MARGIN = Margin(force=0.002)
-RESERVE = 0.7  # share of the accelerations that contacts and motors could make which a motion has
+RESERVE = 0.5  # share of the accelerations that contacts and motors could make which a motion has
 INTERVALS = 15.0  # of the speed profile, per second at full joint rates
 FEWEST_AND_MOST = (12, 80)  # of these intervals
 OVERSHOOT = (1.02, 1.06, 1.4)  # times the limits of speed, acceleration and jerk that samples may have
