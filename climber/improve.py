@@ -19,6 +19,7 @@ from climber.choose import Candidates, Layer
 from climber.path import unwound
 from climber.phase_motion import MotionBudget, PhaseMotion
 from climber.phases import Curves, PhasePlanner, Stretch, Way, instants
+from climber.plan_file import ObjectiveKind
 from climber.programs.posture_chain import Instant
 from climber.solids import away
 from climber.stance import Vector
@@ -31,6 +32,8 @@ OFF = 0.1  # how far off costs are that choose among these, in flips
 TRIED = 16  # places tried for one that is to be near
 NEAR = (0.03, 0.6)  # [rad] how far from the posture it replaces one that is to be near it may be, least and most
 ROUNDING = 1e-9  # share by which the same value may differ when summed in another order
+# How many times as long, in the objective's norm, curves may be for it to be worth the while to time them.
+LONGER: dict[ObjectiveKind, float] = {"length": 1.0, "time": 1.05, "margin": np.inf}
 SHARE = 1e-6  # a value must be lower by this share to be better
 
 
@@ -187,6 +190,11 @@ class Improver:
     def _replaced(self, way: Way, begin: int, curves: Sequence[Curves]) -> Way | None:
         """The climb along other curves from phase `begin` on, or None if these have no timing."""
         end = begin + len(curves)
+        before, after = (
+            self._planner.length([leg for own in part for leg in own]) for part in (way.curves[begin:end], curves)
+        )
+        if after > LONGER[self._planner.objective.kind] * before:
+            return None  # timing it would be a waste of time
         motions = self._planner.all_timed(way.stretches[begin:end], curves, self._budget)
         if not isinstance(motions, list):
             return None

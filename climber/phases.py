@@ -151,10 +151,14 @@ class PhasePlanner:
 
     def _as_good_as_straight(self, legs: Sequence[Curve]) -> bool:
         """Whether legs are hardly longer than straight lines; postures drawn together are best for those already."""
-        s, norm = np.linspace(0.0, 1.0, 65), self.objective.norm
-        paths = [leg.q(s) for leg in legs]
-        length = sum(float(norm(np.diff(q, axis=0)).sum()) for q in paths)
-        return length <= (1.0 + STRAIGHT) * sum(float(norm(q[-1] - q[0])) for q in paths)
+        ends = [leg.q(np.array([0.0, 1.0])) for leg in legs]
+        straight = sum(float(self.objective.norm(q[1] - q[0])) for q in ends)
+        return self.length(legs) <= (1.0 + STRAIGHT) * straight
+
+    def length(self, legs: Sequence[Curve]) -> float:
+        """The length of curves in the objective's norm."""
+        s = np.linspace(0.0, 1.0, 65)
+        return sum(float(self.objective.norm(np.diff(leg.q(s), axis=0)).sum()) for leg in legs)
 
     def held(self, q: Vector, manifolds: Sequence[Manifold]) -> bool:
         """Whether contacts and motors can hold a posture still on each of the manifolds."""

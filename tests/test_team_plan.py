@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,6 +64,18 @@ def test_one_waits_for_the_other_at_the_end_of_every_step(team: Plan) -> None:
         assert not first.v[within].any()
         rests += int(within.sum())
     assert rests > 10
+
+
+def test_each_robot_of_a_team_improves_and_they_still_keep_their_clock(team: Plan) -> None:
+    scenario = two_walls()
+    better = plan_climb(replace(scenario, budget=replace(scenario.budget, improve_rounds=5)))
+    verdict = verify(better)
+    assert verdict.ok, str(verdict)
+    for one, two in zip(team.robots, better.robots, strict=True):
+        assert one.objective is not None and two.objective is not None
+        assert two.objective.value <= one.objective.value + 1e-9
+        assert two.record[0][1] == pytest.approx(one.objective.value)
+    assert sum(len(robot.record) for robot in better.robots) > 2
 
 
 def test_a_walk_without_its_waits_is_the_walk_of_a_robot_alone() -> None:
