@@ -193,15 +193,17 @@ class TeamSearch:
         return motion
 
     def _improved(self, proposal: TaskPlan, ways: list[Way], motion: TeamMotion) -> TeamMotion:
-        """The team's motion with each robot's improved, where that keeps them clear, and the climb no longer."""
+        """The team's motion with each robot's improved, where that keeps them clear; if time matters, no later."""
         for index, member in enumerate(self.members):
             better = member.improved(ways[index], 1.0 / len(ways))
             if better is ways[index]:
                 continue
             tried = [better if other == index else way for other, way in enumerate(ways)]
             after = self._together(proposal, tried)
-            if isinstance(after, TeamMotion) and after.starts[-1] <= motion.starts[-1] + SAME:
-                ways, motion = tried, after
+            if isinstance(after, TeamMotion):
+                hurried = member.planner.objective.kind == "time"
+                if not hurried or after.starts[-1] <= motion.starts[-1] + SAME:
+                    ways, motion = tried, after
         return motion
 
     def _share(self) -> None:

@@ -68,7 +68,7 @@ def test_one_waits_for_the_other_at_the_end_of_every_step(team: Plan) -> None:
 
 def test_each_robot_of_a_team_improves_and_they_still_keep_their_clock(team: Plan) -> None:
     scenario = two_walls()
-    better = plan_climb(replace(scenario, budget=replace(scenario.budget, improve_rounds=5)))
+    better = plan_climb(replace(scenario, budget=replace(scenario.budget, improve_rounds=8)))
     verdict = verify(better)
     assert verdict.ok, str(verdict)
     for one, two in zip(team.robots, better.robots, strict=True):
