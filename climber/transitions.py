@@ -19,6 +19,7 @@ from climber.solids import Solid
 from climber.stance import Contact, Move, Vector
 from climber.transition import Failure, Postures, find_transition, first_carried, posture_sampler, support_of
 
+IN_SPACE = 0.2  # share of the poses allowed that are drawn in space
 BRIEFLY = (500,)  # pelvis poses drawn for places on a patch in space beside its middle
 
 Stage = Literal["transition", "motion", "torque"]
@@ -89,6 +90,16 @@ class TransitionFinder:
             key: found for key, found in self._found.items() if found.failure is None or found.failure.kind == "proved"
         }
 
+    @property
+    def rounds(self) -> tuple[int, ...]:
+        """Pelvis poses drawn in successive rounds: in space a share of what the effort says.
+
+        There a pose costs several times as much, and between postures that rare there are hardly any motions.
+        """
+        if self.body.robot.planar:
+            return self.effort.rounds
+        return replace(self.effort, samples=max(BRIEFLY[0], int(IN_SPACE * self.effort.samples))).rounds
+
     def transition(self, contacts: tuple[Contact, ...], limb: int, rounds: Sequence[int] | None = None) -> Postures:
         """Postures on `contacts` in which `limb` may let go or has just taken hold; found once.
 
@@ -100,7 +111,7 @@ class TransitionFinder:
         key = (contacts, limb)
         if key not in self._found:
             began = clock.perf_counter()
-            drawn = self.effort.rounds if rounds is None else rounds
+            drawn = self.rounds if rounds is None else rounds
             holding = [c for c in contacts if c.limb != limb]
 
             def carried(q: Vector) -> NDArray[np.bool_]:
@@ -135,7 +146,7 @@ class TransitionFinder:
         )
         for along, across in places:
             moved = replace(centre, offset=along * half_width, across=across * half_width)
-            found = self.transition(ordered((*support, moved)), limb, self.effort.rounds if planar else BRIEFLY)
+            found = self.transition(ordered((*support, moved)), limb, self.rounds if planar else BRIEFLY)
             if len(found):
                 return found
         assert first.failure is not None
@@ -180,7 +191,7 @@ class TransitionFinder:
         sampler = posture_sampler(self.body, manifold)
         if sampler.unreachable():
             return replace(empty, failure=Failure("proved", "at no angle of the pelvis do all limbs reach their holds"))
-        for count in self.effort.rounds:
+        for count in self.rounds:
             q, branches, slack, _ = sampler.draw(self.rng, count)
             if region is not None and len(q):
                 inside = _within(region, q[:, self.body.robot.origin_q])
@@ -189,7 +200,7 @@ class TransitionFinder:
             if len(best):
                 return Postures(contacts, q[best], branches[best], slack[best])
         where = "" if region is None else " with the pelvis in the region"
-        reason = f"no posture{where} among {sum(self.effort.rounds)} pelvis poses{self.body.asked}"
+        reason = f"no posture{where} among {sum(self.rounds)} pelvis poses{self.body.asked}"
         return replace(empty, failure=Failure("budget", reason))
 
 
