@@ -1,4 +1,4 @@
-"""One phase in motion: timed, slowed until forces and torques produce it, and chained to the phases around it."""
+"""One phase in motion: timed, with the forces and torques that produce it, and chained to the phases around it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""From a path to a motion: when the robot is where, rest to rest, inside joint rates.
+"""From a path to a motion: a leg's pace, and the velocities and accelerations of the whole robot along it.
 
-The path is retraced at a pace that keeps the fastest joint's share of its rate limit constant, and along that pace a
-minimum-jerk law runs from rest to rest. Because the law's shape is fixed, a motion that asks too much of contacts or
-motors is mended by one number, its duration.
+The path is retraced at a pace that keeps the fastest joint's share of its rate limit constant. Along that pace
+`climber.fastest` finds the fastest motion; a minimum-jerk law from rest to rest is what there is where it finds none,
+mended by one number, its duration.
 """
 
 from __future__ import annotations

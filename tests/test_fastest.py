@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robots import robot
+from robots import robot, standing
 from test_torque import STANDING, feet, variant
 from test_torque import robot as _fixture  # noqa: F401
 
@@ -278,3 +278,34 @@ def test_hardly_any_room_still_leaves_a_timing_if_a_slow_one() -> None:
     slow, fast = shifting((0.002, 0.0, 0.0), min_force=low).fastest(), shifting((0.002, 0.0, 0.0)).fastest()
     assert isinstance(fast, FastLeg) and isinstance(slow, FastLeg)
     assert slow.duration >= fast.duration
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_in_space_a_leg_keeps_to_round_cones_with_a_reserve(seed: int) -> None:
+    here = standing("lemur", seed)
+    leaning = np.random.default_rng(seed).normal(0.0, 0.2, len(here.contacts))
+    holds = tuple(
+        replace(hold, grip="friction", friction=0.8, min_force=0.5, max_force=80.0, normal=(lean, 1.0, 0.6))
+        for hold, lean in zip(here.body.wall.holds, leaning, strict=True)
+    )
+    body = Body(here.body.robot, Wall(holds))
+    chart = here.manifold.chart(here.q)
+    start = chart.coordinates(here.q)
+    control = start + np.linspace(0.0, 1.0, 6)[:, None] * np.linspace(-0.02, 0.02, len(start))
+    answer = timed(body, here.contacts, [PacedPath(Curve(chart, control))], MotionBudget())
+    assert not isinstance(answer, str)
+    samples, torques, timing = answer
+    assert timing.method == "conic"
+    for hold, force in zip(holds, np.moveaxis(torques.force, 1, 0), strict=True):
+        normal = np.array(hold.normal) / np.linalg.norm(hold.normal)
+        along = force @ normal
+        across = np.linalg.norm(force - np.outer(along, normal), axis=1)
+        narrow = np.cos(np.arctan(hold.friction))
+        assert (across <= 0.8 * (along - 2 * 0.5 * narrow)).all()
+        assert (across <= 0.8 * (2 * 80.0 * narrow - along)).all()
+    dynamics = evaluate(body.robot, samples.q, samples.v, range(4))
+    lambdas = torques.force.reshape(len(samples.time), -1)
+    assert np.abs(dynamics.residual(samples.vd, torques.torque, lambdas)).max() < 1e-6
+    faster = 1 / np.sqrt(1.1 * RESERVE)
+    dynamics = evaluate(body.robot, samples.q, faster * samples.v, range(4))
+    assert phase_torques(body.robot, body.wall, here.contacts, dynamics, faster**2 * samples.vd).ok.mean() > 0.95
