@@ -12,7 +12,7 @@ friction never leaves more of it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +33,7 @@ from climber.timing import PEAK, PacedPath, Samples
 from climber.wall import GRAVITY
 
 PELVIS_SPEED, PELVIS_TURN = 1.0, 2.0  # [m/s, rad/s] the pelvis has no limit of its own
+HOLDING = 2 / 3  # share of their speed limits that the joints of limbs in contact use
 JERK = 1000.0  # [rad/s^3] of joints: full acceleration in some 50 ms
 # What the samples keep to: less than what postures are chosen with (`climber.programs.torque.MARGIN`), so that there is
 # room to move in even where a posture is at the edge of what can be held.
@@ -59,8 +60,11 @@ class RateLimits:
     jerk: Vector
 
     @classmethod
-    def of(cls, robot: Robot, pace: float) -> RateLimits:
+    def of(cls, robot: Robot, pace: float, holding: Iterable[int] = ()) -> RateLimits:
         """The limits of a robot's joints, and some for its pelvis, for a motion at a share `pace` of the fastest.
+
+        Joints of the limbs that hold on are to be slower than others: where such a limb passes through straight, a small
+        error of the pelvis is a great one of the joint, and takes speed to correct.
 
         Without other limits such a motion is the fastest one slowed to that share: it has that share of the speed, its
         square of the acceleration and its cube of the jerk.
@@ -69,6 +73,8 @@ class RateLimits:
         speed, acceleration, jerk = np.empty(nv), np.empty(nv), np.full(nv, JERK)
         for limb in robot.limbs:
             speed[limb.v], acceleration[limb.v] = limb.velocity, limb.acceleration
+        for i in holding:
+            speed[robot.limbs[i].v] *= HOLDING
         turns = np.isin(robot.base_q, robot.angle_q)
         reach, fastest = float(robot.reach.mean()), np.concatenate([limb.acceleration for limb in robot.limbs])
         speed[robot.base_v] = np.where(turns, PELVIS_TURN, PELVIS_SPEED)

@@ -97,7 +97,7 @@ def timed(
     Returns:
         The samples with their forces and torques, and how they came about; or, if there is no timing, why not.
     """
-    limits = RateLimits.of(body.robot, budget.pace)
+    limits = RateLimits.of(body.robot, budget.pace, [contact.limb for contact in contacts])
     legs: list[_TimedLeg] = []
     for path in paced:
         leg = _timed_leg(body, contacts, path, limits, budget)

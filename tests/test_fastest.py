@@ -18,7 +18,7 @@ from test_torque import robot as _fixture  # noqa: F401
 from climber.curve import Curve
 from climber.dynamics import evaluate
 from climber.exceptions import ModelError
-from climber.fastest import JERK, RESERVE, SHORTEST, FastLeg, RateLimits, fastest_leg, instants_of
+from climber.fastest import HOLDING, JERK, RESERVE, SHORTEST, FastLeg, RateLimits, fastest_leg, instants_of
 from climber.manifold import Body, Chart
 from climber.phase_motion import MotionBudget, by_fixed_law, timed
 from climber.programs import torque_blocks
@@ -249,6 +249,9 @@ def test_limits_are_the_models_at_full_pace_and_shrink_with_its_powers() -> None
     for name, factor in (("speed", 0.5), ("acceleration", 0.25), ("jerk", 0.125)):
         assert getattr(half, name) == pytest.approx(factor * getattr(full, name))
         assert set(full.by_name(machine)[name]) == set(machine.velocity_names)
+    holding = RateLimits.of(machine, 1.0, [1])
+    assert holding.speed[machine.limbs[1].v] == pytest.approx(HOLDING * 4.0)
+    assert (holding.speed[machine.limbs[0].v] == 4.0).all()
 
 
 def test_a_motion_beyond_its_limits_is_slowed_by_as_much_as_it_takes() -> None:
