@@ -63,11 +63,9 @@ class RateLimits:
     def of(cls, robot: Robot, pace: float, holding: Iterable[int] = ()) -> RateLimits:
         """The limits of a robot's joints, and some for its pelvis, for a motion at a share `pace` of the fastest.
 
-        Joints of the limbs that hold on are to be slower than others: where such a limb passes through straight, a small
-        error of the pelvis is a great one of the joint, and takes speed to correct.
-
         Without other limits such a motion is the fastest one slowed to that share: it has that share of the speed, its
-        square of the acceleration and its cube of the jerk.
+        square of the acceleration and its cube of the jerk. Joints of the limbs that hold on are slower than others:
+        where such a limb passes through straight, a small error of the pelvis is a great one of the joint.
         """
         nv = robot.plant.num_velocities()
         speed, acceleration, jerk = np.empty(nv), np.empty(nv), np.full(nv, JERK)
