@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from climber.plan_file import CutKind, CutStage
+from climber.plan_parts import CutKind, CutStage
 from climber.relaxed import Check
 from climber.stance import Move, Stance
 from climber.words import listed, spoken

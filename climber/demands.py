@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from climber.margins import CAPS, phase_margins
 from climber.phase_instants import Moving
-from climber.plan_file import MarginKind
+from climber.plan_parts import MarginKind
 from climber.programs.torque import static_feasible
 from climber.robot import Robot
 from climber.scenario_fields import SURE, MinMargin

@@ -20,7 +20,7 @@ from climber.explanation import Answer, Explanation, Missing
 from climber.frontier import FrontierFinder
 from climber.geometry import Mask
 from climber.graph import StanceGraph
-from climber.plan_file import Cut
+from climber.plan_parts import Cut
 from climber.prune import out_of_reach
 from climber.reachable import UNREACHED, Reached, RelaxedClimb, Target
 from climber.relaxed import Check, RelaxedChecks

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from climber.blocked import Blocked, Frontier
 from climber.changes import Changes
-from climber.plan_file import Cut
+from climber.plan_parts import Cut
 from climber.reachable import Target
 from climber.relaxed import Check
 from climber.stance import Stance

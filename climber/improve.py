@@ -19,7 +19,7 @@ from climber.choose import Candidates, Layer
 from climber.path import unwound
 from climber.phase_motion import MotionBudget, PhaseMotion
 from climber.phases import Curves, PhasePlanner, Stretch, Way, instants
-from climber.plan_file import ObjectiveKind
+from climber.plan_parts import ObjectiveKind
 from climber.programs.posture_chain import Instant
 from climber.solids import away
 from climber.stance import Vector

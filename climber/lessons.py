@@ -17,7 +17,7 @@ import numpy as np
 from climber.graph import StanceGraph
 from climber.motion import DeadEnd, EmptyPiece
 from climber.pieces import REST, Choice
-from climber.plan_file import Cut
+from climber.plan_parts import Cut
 from climber.stance import Move, Stance, Vector
 from climber.states import Integers
 from climber.task import TaskPlanner, Walk

@@ -13,7 +13,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from climber.plan_file import MARGIN_KINDS, MarginKind, Plan, RobotPlan
+from climber.plan_file import Plan
+from climber.plan_parts import MARGIN_KINDS, MarginKind, RobotPlan
 
 # What each margin is called, how it is written, and what to multiply it with before.
 TOLD: dict[MarginKind, tuple[str, str, float]] = {

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from climber.phase_instants import Moving, PhaseInstants
-from climber.plan_file import MARGIN_KINDS, MarginKind, PhaseMargin
+from climber.plan_parts import MARGIN_KINDS, MarginKind, PhaseMargin
 from climber.programs.grip_margins import ErrorMargin, FrictionError, NormalError
 from climber.programs.grips import wall_grips
 from climber.programs.margins import GAP, DisturbanceMargin, Worst

@@ -24,7 +24,7 @@ from climber.path import clear, direct, unwound
 from climber.phase_motion import MotionBudget
 from climber.phases import Curves, PhasePlanner, Purpose, Stretch, Way, instants
 from climber.pieces import Choice, in_component
-from climber.plan_file import ObjectiveKind
+from climber.plan_parts import ObjectiveKind
 from climber.stance import Contact, Move, Vector
 from climber.transition import Postures
 from climber.transitions import MoveFailure, TransitionFinder

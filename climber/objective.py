@@ -26,7 +26,7 @@ import numpy as np
 from climber.curve import joint_length
 from climber.manifold import Body, Manifold
 from climber.phase_motion import PhaseMotion
-from climber.plan_file import ObjectiveKind
+from climber.plan_parts import ObjectiveKind
 from climber.stance import Vector
 from climber.transition import support_of
 

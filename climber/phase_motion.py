@@ -14,7 +14,7 @@ from climber.dynamics import evaluate
 from climber.fastest import SHORTEST, FastLeg, RateLimits, failure, fastest_leg, foot_load, instants_of
 from climber.manifold import Body
 from climber.path import unwound
-from climber.plan_file import PhaseTiming
+from climber.plan_parts import PhaseTiming
 from climber.programs.safest import safest_forces
 from climber.programs.torque import TorqueBatch, phase_torques
 from climber.robot import Indices, Robot

@@ -32,17 +32,8 @@ from climber.margins import phase_margins
 from climber.motion import DeadEnd, EmptyPiece, MotionPlanner, Regions
 from climber.phase_motion import MotionBudget, PhaseMotion
 from climber.phases import Way
-from climber.plan_file import (
-    Achieved,
-    Cut,
-    MarginKind,
-    ObjectiveKind,
-    Phase,
-    PhaseContact,
-    PhaseMargin,
-    Plan,
-    RobotPlan,
-)
+from climber.plan_file import Plan
+from climber.plan_parts import Achieved, Cut, MarginKind, ObjectiveKind, Phase, PhaseContact, PhaseMargin, RobotPlan
 from climber.prune import impossible_moves
 from climber.regrasp import rigid, with_regrasps
 from climber.robot import Model, Robot

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from climber.exceptions import PlanFileError
-from climber.plan_file import Phase, RobotPlan
+from climber.plan_parts import Phase, RobotPlan
 from climber.robot import Robot
 from climber.stance import Vector
 

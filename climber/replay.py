@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from climber.exceptions import PlanFileError
-from climber.plan_file import Phase, RobotPlan
+from climber.plan_parts import Phase, RobotPlan
 from climber.programs.forces import wall_forces, weight_in_plane
 from climber.programs.regions import support_regions
 from climber.programs.support import support_intervals

@@ -9,7 +9,8 @@ import numpy as np
 
 from climber.files import write_text
 from climber.meshcat_page import meshcat_page
-from climber.plan_file import Phase, Plan, RobotPlan
+from climber.plan_file import Plan
+from climber.plan_parts import Phase, RobotPlan
 from climber.scene import Scene
 from climber.simulation import RobotRun, Simulation
 

@@ -27,7 +27,7 @@ from climber.lessons import Lessons, OnFailure
 from climber.motion import MotionPlanner
 from climber.phases import Way
 from climber.plan import ClimbSearch, Report, decode
-from climber.plan_file import Fact, RobotPlan
+from climber.plan_parts import Fact, RobotPlan
 from climber.product import ProductPlanner
 from climber.prune import impossible_moves
 from climber.scenario import Scenario

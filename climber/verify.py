@@ -11,7 +11,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from climber.exceptions import ModelError, PlanFileError, ScenarioError
-from climber.plan_file import Plan, RobotPlan
+from climber.plan_file import Plan
+from climber.plan_parts import RobotPlan
 from climber.robot import Model, Robot
 from climber.scenario import Scenario, check_against_robot, scenario_from_text
 from climber.verdict import Check, Ledger, Verdict

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from climber.plan_file import MARGIN_KINDS, MarginKind, Phase, PhaseMargin, RobotPlan
+from climber.plan_parts import MARGIN_KINDS, MarginKind, Phase, PhaseMargin, RobotPlan
 from climber.robot import Indices, Robot
 from climber.stance import Vector
 from climber.verdict import Ledger

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from climber.plan_file import Phase, RobotPlan
+from climber.plan_parts import Phase, RobotPlan
 from climber.robot import Robot
 from climber.scenario import RobotSpec
 from climber.solids import Solid

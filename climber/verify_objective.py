@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from climber.plan_file import Phase, RobotPlan
+from climber.plan_parts import Phase, RobotPlan
 from climber.robot import Robot
 from climber.stance import Vector
 from climber.verdict import Ledger

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from climber.plan_file import RobotPlan
+from climber.plan_parts import RobotPlan
 from climber.robot import Robot
 from climber.scenario import Place, RobotSpec
 from climber.stance import Vector

@@ -9,7 +9,7 @@ from itertools import combinations, pairwise, product
 import numpy as np
 import shapely
 
-from climber.plan_file import RobotPlan
+from climber.plan_parts import RobotPlan
 from climber.robot import Indices, Robot
 from climber.stance import Vector
 from climber.verdict import Ledger

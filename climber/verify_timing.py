@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from climber.plan_file import Phase, PhaseContact, RobotPlan
+from climber.plan_parts import Phase, PhaseContact, RobotPlan
 from climber.robot import Robot
 from climber.stance import Vector
 from climber.verdict import Ledger

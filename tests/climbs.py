@@ -9,7 +9,7 @@ import numpy as np
 from climber.manifold import Body
 from climber.motion import MotionPlanner
 from climber.phases import Way
-from climber.plan_file import ObjectiveKind
+from climber.plan_parts import ObjectiveKind
 from climber.robot import Model, Robot
 from climber.scenario import load_scenario
 from climber.stance import Move, Stance

@@ -21,7 +21,8 @@ import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable, MultibodyForces
 
 from climber.margins import phase_margins
-from climber.plan_file import Achieved, Cut, Phase, PhaseContact, Plan, RobotPlan
+from climber.plan_file import Plan
+from climber.plan_parts import Achieved, Cut, Phase, PhaseContact, RobotPlan
 from climber.robot import Model, Robot
 from climber.scenario import scenario_from_text
 from climber.stance import Contact, Vector

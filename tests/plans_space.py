@@ -16,7 +16,8 @@ import numpy as np
 from plans import LIMBS, RATE, Line, with_margins
 from pydrake.multibody.tree import JacobianWrtVariable, MultibodyForces
 
-from climber.plan_file import Phase, PhaseContact, Plan, RobotPlan
+from climber.plan_file import Plan
+from climber.plan_parts import Phase, PhaseContact, RobotPlan
 from climber.robot import Model, Robot
 from climber.stance import Vector
 from climber.wall import Wall

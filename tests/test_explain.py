@@ -22,7 +22,7 @@ from climber.frontier import FrontierFinder
 from climber.graph import StanceGraph
 from climber.move_question import MoveQuestion
 from climber.plan import plan_climb
-from climber.plan_file import Cut
+from climber.plan_parts import Cut
 from climber.prune import impossible_moves
 from climber.reachable import RelaxedClimb
 from climber.robot import Robot

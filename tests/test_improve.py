@@ -14,7 +14,7 @@ from climbs import beginning
 from climber.improve import Improver, Progress
 from climber.phases import Way
 from climber.plan import plan_climb
-from climber.plan_file import ObjectiveKind
+from climber.plan_parts import ObjectiveKind
 from climber.scenario import Scenario, load_scenario
 from climber.verify import verify
 

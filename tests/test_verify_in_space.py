@@ -14,7 +14,8 @@ from plans import LIMBS, QUADRUPED, edited, retold, step_plan, with_margins
 from plans_space import LEMUR, climb_plan
 
 from climber.exceptions import ModelError, PlanFileError
-from climber.plan_file import Plan, RobotPlan
+from climber.plan_file import Plan
+from climber.plan_parts import RobotPlan
 from climber.resources import resolve_model
 from climber.robot import Model, Robot
 from climber.verdict import Ledger

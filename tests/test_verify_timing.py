@@ -11,7 +11,8 @@ from plans import edited, step_plan
 from test_verify import PHASE, failing
 
 from climber.exceptions import PlanFileError
-from climber.plan_file import Phase, PhaseTiming, Plan
+from climber.plan_file import Plan
+from climber.plan_parts import Phase, PhaseTiming
 from climber.verify import verify
 
 MASS = 2.0  # [kg] of the quadruped
