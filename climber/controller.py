@@ -21,16 +21,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from pydrake.multibody.tree import JacobianWrtVariable
 
 from climber.dynamics import Sampler, turning
+from climber.force_control import ForceControl
 from climber.reference import Desired, Reference
 from climber.robot import Indices
 from climber.stance import Vector
 from climber.wall import Wall
 
-LEAST = 0.05  # a holding foot presses at least so hard [N]
-SAFE = 0.95  # share of a friction cone that is used
-DAMPING = 0.01  # limits joint rates near a straight limb [m]
+DAMPING = 0.005  # a limb that moves its foot less than so much a radian is nearly straight [m]
+GIVING = 3e-5  # how readily the pelvis gives way to joints [m^2]
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Gains:
     pelvis: float = 40.0
     joint: float = 80.0
     foot: float = 40.0
-    most: float = 5.0
+    most: float = 10.0
     approach: float = 0.03
     settle: float = 0.1
     pelvis_error: float = 0.004
@@ -87,8 +88,7 @@ class _Stance:
         holds: Their holds.
         free: Places in the velocities of the pelvis and of the joints of limbs that do not hold.
         rows: Rows of all feet's Jacobian that belong to holding feet.
-        weight: Inverse weights of accelerations in (2), shape (nv,).
-        ease: Inverse weights of forces in (3), a block for each foot and then the moments, shape (m, m).
+        control: Chooses the forces of (3).
         gripping: The limbs whose pin takes a moment.
     """
 
@@ -96,8 +96,7 @@ class _Stance:
     holds: tuple[int, ...]
     free: Indices
     rows: Indices
-    weight: Vector
-    ease: Vector
+    control: ForceControl
     gripping: tuple[int, ...]
 
 
@@ -130,6 +129,7 @@ class Controller:
         self._motors = np.flatnonzero(motors)
         self._loose = np.setdiff1d(np.arange(nv), self._driven)
         self._J, self._Jdot_v = np.empty((self._sampler.num_rows, nv)), np.empty(self._sampler.num_rows)
+        self._limbs = ~np.isin(np.arange(nv), robot.base_v)
         omega = np.full(nv, self.gains.joint)
         omega[robot.base_v] = self.gains.pelvis
         self._kp, self._kd = omega**2, 2.0 * omega
@@ -149,24 +149,12 @@ class Controller:
         holding = tuple(i for i, name in enumerate(robot.limb_names) if name in place)
         holds = tuple(place[robot.limb_names[i]].hold for i in holding)
         gripping = tuple(i for i, hold in zip(holding, holds, strict=True) if self.wall.holds[hold].max_moment > 0.0)
-        weight = np.full(len(robot.velocity_names), 1.0)
-        weight[robot.base_v] = 1e-6  # limbs give way to the pelvis
-        ease = np.zeros((axes * len(holding) + len(gripping),) * 2)
-        for k, number in enumerate(holds):
-            hold, n = self.wall.holds[number], self.wall.normals[number][:axes]
-            sideways = 1.0 if hold.grip == "pin" else 0.5 * min(hold.friction, 1.0) ** 2
-            across = np.outer(n, n)
-            ease[axes * k : axes * k + axes, axes * k : axes * k + axes] = across + sideways * (np.eye(axes) - across)
-        for k, i in enumerate(gripping, start=axes * len(holding)):
-            hold = self.wall.holds[place[robot.limb_names[i]].hold]
-            ease[k, k] = (hold.max_moment / hold.max_force) ** 2
         return _Stance(
             holding=holding,
             holds=holds,
             free=np.concatenate([robot.base_v, *(limb.v for i, limb in enumerate(robot.limbs) if i not in holding)]),
             rows=np.array([axes * i + a for i in holding for a in range(axes)], dtype=np.int64),
-            weight=weight,
-            ease=ease,
+            control=ForceControl(self.wall, holds, axes, len(gripping)),
             gripping=gripping,
         )
 
@@ -266,26 +254,57 @@ class Controller:
             self._approach(toward)
         else:
             self._aside *= 1.0 - self.time_step / gains.settle
-        error = self.error - self._aside
+        # Errors that the feet's places do not permit to undo are none.
+        J = self._J[stance.rows]
+        following, error = self._following(J), self.error - self._aside
+        for follow in following:
+            error = error - follow @ (J @ error)
         self._sum[stance.free] += self.time_step * error[stance.free]
         np.clip(self._sum, -self._most, self._most, out=self._sum)
         wanted = rate**2 * desired.vd + quicker * desired.v
         wanted += self._kp * error + self._kd * (rate * desired.v - v) + self._ki * self._sum
         # (2)
-        J = self._J[stance.rows]
-        eased = stance.weight[:, None] * J.T
-        lacking = -gains.foot * (J @ v) - self._Jdot_v[stance.rows] - J @ wanted
-        vd = wanted + eased @ np.linalg.solve(J @ eased + 1e-12 * np.eye(len(J)), lacking)
+        at_rest = -gains.foot * (J @ v) - self._Jdot_v[stance.rows]
+        vd = wanted
+        for follow in following:
+            vd = vd + follow @ (at_rest - J @ vd)
         # (3)
         load = sampler.plant.CalcMassMatrix(sampler.context) @ vd + sampler.h()
         C = np.vstack([self._J[stance.rows], self._turning[list(stance.gripping)]])
         planned = [desired.force[list(stance.holding), :axes].ravel(), desired.moment[list(stance.gripping)]]
-        forces = self._distribute(np.concatenate(planned), C[:, self._loose].T, load[self._loose])
+        forces = stance.control.forces(np.concatenate(planned), C[:, self._loose].T, load[self._loose])
         # (4)
         torque = np.zeros(len(self.robot.joint_names))
         asked = load[self._driven] - C[:, self._driven].T @ forces
         torque[self._motors] = np.clip(asked, -self._limits, self._limits)
         return self._act(torque, forces, desired)
+
+    def pushed(self, force: Vector) -> Vector:
+        """A push of the pelvis at the robot's centre of mass [N], shape (axes,), as generalised forces, shape (nv,).
+
+        The state is that of the last command.
+        """
+        plant, context = self._sampler.plant, self._sampler.context
+        if not force.any():
+            return np.zeros(plant.num_velocities())
+        pelvis, world = self.robot.pelvis, plant.world_frame()
+        center = pelvis.EvalPoseInWorld(context).inverse().multiply(self.robot.center_of_mass(context))
+        J = plant.CalcJacobianTranslationalVelocity(
+            context, JacobianWrtVariable.kV, pelvis.body_frame(), center, world, world
+        )
+        result: Vector = J[: len(force)].T @ force
+        return result
+
+    def _following(self, J: Vector) -> tuple[Vector, Vector]:
+        """How joints and pelvis are moved for holding feet to move as they must, shapes (nv, m): one after the other.
+
+        Limbs follow the pelvis. But near a straight limb joints would have to be ever faster for it, so that there the
+        joints keep to the plan, which may lead them through the straight on purpose, and the pelvis follows them.
+        """
+        limbs, few = J * self._limbs, np.eye(len(J))
+        eased = (self._limbs + GIVING * ~self._limbs)[:, None] * J.T
+        quick = limbs.T @ np.linalg.inv(limbs @ limbs.T + DAMPING**2 * few)
+        return quick, eased @ np.linalg.inv(J @ eased + 1e-12 * few)
 
     def _approach(self, toward: float) -> None:
         """Moves the place that the arriving limb's foot is led to, by what it goes in a time step."""
@@ -297,45 +316,6 @@ class Controller:
         J = self._J[axes * limb : axes * limb + axes, joints]
         quick = J.T @ np.linalg.solve(J @ J.T + DAMPING**2 * np.eye(axes), going)
         self._aside[joints] -= self.time_step * quick
-
-    def _distribute(self, planned: Vector, E: Vector, load: Vector) -> Vector:
-        """Contact forces near the planned ones, in their cones, with E forces = load or as near as can be; shape (m,).
-
-        Where a force would leave its cone it is put on the border, and the others make up for it.
-        """
-        ease, forces = self._stance.ease, planned.copy()
-        for _ in range(4):
-            carry = E @ ease @ E.T
-            carry += (1e-9 * np.trace(carry) + 1e-12) * np.eye(len(carry))
-            forces = forces + ease @ E.T @ np.linalg.solve(carry, load - E @ forces)
-            outside, forces = self._inside(forces)
-            if not outside:
-                break
-            ease = ease.copy()
-            for k in outside:
-                ease[k] = ease[:, k] = 0.0
-        return forces
-
-    def _inside(self, forces: Vector) -> tuple[list[slice], Vector]:
-        """The forces moved into their cones, and which had to be moved."""
-        axes, moved = self._axes, []
-        for k, number in enumerate(self._stance.holds):
-            hold = self.wall.holds[number]
-            if hold.grip == "pin":
-                continue
-            mine, n = slice(axes * k, axes * k + axes), self.wall.normals[number][:axes]
-            total = forces[mine] + hold.adhesion * n
-            push = float(n @ total)
-            along = total - push * n
-            least, most = max(push, LEAST), SAFE * hold.friction * max(push, LEAST)
-            slide = float(np.sqrt(along @ along))
-            if push < least or slide > most:
-                if slide > most:
-                    along = along * (most / slide)
-                forces = forces.copy()
-                forces[mine] = least * n + along - hold.adhesion * n
-                moved.append(mine)
-        return moved, forces
 
     def _act(self, torque: Vector, forces: Vector, desired: Desired) -> Command:
         """The command that goes with torques and contact forces."""

@@ -82,6 +82,32 @@ class Survival:
         return max((run.slip for run in self.runs if not run.fell), default=float("nan"))
 
 
+def least_margins(plan: Plan) -> dict[str, float]:
+    """What the whole plan is certified to survive, by kind of error: the least margin of any of its phases.
+
+    Units are those of `climber.plan_file.PhaseMargin`.
+    """
+    every = [phase.margins for robot in plan.robots for phase in robot.phases]
+    return {kind: min(margins[kind].value for margins in every) for kind in every[0] if all(kind in m for m in every)}
+
+
+def certified(plan: Plan, perturbation: Perturbation) -> bool | None:
+    """Whether the plan's margins say that a perturbation is survived; None if they say nothing of its kind.
+
+    Margins are of one error at a time, and of one hold out of place, where the simulation displaces all.
+    """
+    off = {
+        "friction": max(0.0, 1.0 - perturbation.friction_scale),
+        "mass": abs(perturbation.mass_scale - 1.0),
+        "push": perturbation.push,
+    }
+    errors = {kind: size for kind, size in off.items() if size > 0.0}
+    margins = least_margins(plan)
+    if len(errors) != 1 or perturbation.hold_error > 0.0 or not set(errors) <= set(margins):
+        return True if not errors and perturbation.hold_error == 0.0 and margins else None
+    return all(size <= margins[kind] for kind, size in errors.items())
+
+
 def monte_carlo(
     plan: Plan,
     perturbations: Sequence[Perturbation],

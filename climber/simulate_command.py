@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,18 @@ from rich.table import Table
 
 from climber.exceptions import ClimberError
 from climber.plan_file import Plan
-from climber.simulate import Survival, monte_carlo, simulate
+from climber.simulate import Survival, certified, least_margins, monte_carlo, simulate
 from climber.simulation import SLIP_LIMIT, Perturbation, Simulation
 
+# What is said of a plan's margins, by kind: a factor and words.
+MARGINS = {
+    "friction": (100.0, "friction less by {:.2g} %"),
+    "mass": (100.0, "mass off by {:.2g} %"),
+    "push": (1.0, "a push of {:.2g} N"),
+    "place": (1e3, "one hold off by {:.2g} mm"),
+    "center": (1e3, "centre of mass off by {:.2g} mm"),
+    "normal": (180.0 / math.pi, "one hold turned by {:.2g} degrees"),
+}
 START_ERROR = 0.001  # [m], if there are several runs and nothing else is asked for
 
 
@@ -52,6 +62,14 @@ def add_simulate_command(commands: Any) -> argparse.ArgumentParser:
         metavar="M",
         help="pelvises start off at random by up to this [m]; 0, or 0.001 with --runs",
     )
+    parser.add_argument(
+        "--push",
+        type=float,
+        nargs="+",
+        default=[0.0],
+        metavar="N",
+        help="pushes at the centre of mass, in a direction drawn at random [N]",
+    )
     parser.add_argument("--slip-limit", type=float, default=SLIP_LIMIT, metavar="M", help="for a holding foot [m]")
     parser.add_argument("--runs", type=int, default=1, metavar="N", help="seeds to try each combination with")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="the first of them")
@@ -72,13 +90,19 @@ def _simulate(options: argparse.Namespace) -> int:
         written = [] if options.out is None else [_page(plan, rows[0].runs[0], options.out)]
     ok = all(run.ok for row in rows for run in row.runs)
     if options.json:
-        facts = {"ok": ok, "slip_limit": options.slip_limit, "runs": [_facts(run) for row in rows for run in row.runs]}
-        print(json.dumps({**facts, "files": [str(path) for path in written]}))
+        facts = {
+            "ok": ok,
+            "slip_limit": options.slip_limit,
+            "margins": least_margins(plan),
+            "runs": [_facts(run) for row in rows for run in row.runs],
+            "files": [str(path) for path in written],
+        }
+        print(json.dumps(facts))
         return 0 if ok else 1
     if len(rows) == len(rows[0].runs) == 1:
         _tell(console, rows[0].runs[0])
     else:
-        _tell_all(console, rows)
+        _tell_all(console, plan, rows)
     if written:
         console.print(f"wrote {written[0]}", markup=False)
     return 0 if ok else 1
@@ -88,20 +112,20 @@ def _perturbations(options: argparse.Namespace) -> list[Perturbation]:
     """Every combination of what is asked for, checked."""
     start = options.start_error or [START_ERROR if options.runs > 1 else 0.0]
     scales = {"--friction-scale": options.friction_scale, "--mass-scale": options.mass_scale}
-    lengths = {"--hold-error": options.hold_error, "--start-error": start, "--slip-limit": [options.slip_limit]}
+    sizes = {"--hold-error": options.hold_error, "--start-error": start, "--push": options.push}
     for name, values in scales.items():
         for value in values:
             if not 0.0 < value < float("inf"):
                 raise ClimberError(f"{name}: given {value:g}; allowed: a number greater than 0")
-    for name, values in lengths.items():
+    for name, values in {**sizes, "--slip-limit": [options.slip_limit]}.items():
         for value in values:
             if not 0.0 <= value < float("inf"):
-                raise ClimberError(f"{name}: given {value:g}; allowed: a number of metres, 0 or greater")
+                raise ClimberError(f"{name}: given {value:g}; allowed: a number, 0 or greater")
     counts = {"--runs": (options.runs, 1), "--seed": (options.seed, 0), "--processes": (options.processes, 1)}
     for name, (count, least) in counts.items():
         if count is not None and count < least:
             raise ClimberError(f"{name}: given {count}; allowed: a whole number, {least} or greater")
-    every = product(options.friction_scale, options.mass_scale, options.hold_error, start)
+    every = product(options.friction_scale, options.mass_scale, options.hold_error, start, options.push)
     return [Perturbation(*values, seed=options.seed) for values in every]
 
 
@@ -161,17 +185,26 @@ def _tell(console: Console, run: Simulation) -> None:
     )
 
 
-def _tell_all(console: Console, rows: list[Survival]) -> None:
+def _worded(perturbation: Perturbation) -> str:
+    """What is not as planned."""
+    words = {
+        f"friction x {perturbation.friction_scale:g}": perturbation.friction_scale != 1.0,
+        f"mass x {perturbation.mass_scale:g}": perturbation.mass_scale != 1.0,
+        f"holds off {1e3 * perturbation.hold_error:g} mm": perturbation.hold_error > 0.0,
+        f"start off {1e3 * perturbation.start_error:g} mm": perturbation.start_error > 0.0,
+        f"push {perturbation.push:g} N": perturbation.push > 0.0,
+    }
+    return ", ".join(word for word, said in words.items() if said) or "none"
+
+
+def _tell_all(console: Console, plan: Plan, rows: list[Survival]) -> None:
     """Every combination for people."""
-    table = Table("friction", "mass", "hold error", "start error", "survived", "falls", "worst slip", "pelvis error")
+    table = Table("perturbation", "certified", "survived", "falls", "worst slip", "pelvis off")
     for row in rows:
-        it = row.perturbation
         upright = [robot.pelvis_error for run in row.runs if not run.fell for robot in run.robots]
         table.add_row(
-            f"x {it.friction_scale:g}",
-            f"x {it.mass_scale:g}",
-            f"{1e3 * it.hold_error:g} mm",
-            f"{1e3 * it.start_error:g} mm",
+            _worded(row.perturbation),
+            {True: "yes", False: "no", None: ""}[certified(plan, row.perturbation)],
             f"{row.survived} of {len(row.runs)}",
             str(row.falls),
             f"{1e3 * row.slip:.2f} mm" if upright else "",
@@ -179,7 +212,11 @@ def _tell_all(console: Console, rows: list[Survival]) -> None:
         )
     console.print(table)
     console.print(f"survived: no fall, and no holding foot slipped more than {1e3 * rows[0].runs[0].slip_limit:g} mm")
-    fallen = [(row, run, robot) for row in rows for run in row.runs for robot in run.robots if robot.fell]
+    margins = least_margins(plan)
+    told = [f"{unit.format(margins[kind] * scale)}" for kind, (scale, unit) in MARGINS.items() if kind in margins]
+    if told:
+        console.print(f"certified by the plan, one error at a time: {', '.join(told)}")
+    fallen = [(run, robot) for row in rows for run in row.runs for robot in run.robots if robot.fell]
     if fallen:
-        _, run, robot = fallen[0]
+        run, robot = fallen[0]
         console.print(f"first fall: seed {run.perturbation.seed}, {robot.name}: {robot.fell}", markup=False)

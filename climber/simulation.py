@@ -22,6 +22,8 @@ class Perturbation:
         hold_error: Holds are displaced at random by up to this much [m].
         start_error: Pelvises start displaced at random by up to this much [m], and turned by up to ten times as many
             radians.
+        push: Each robot's pelvis is pushed with this force [N] at the robot's centre of mass, in a direction drawn at
+            random once and for all.
         seed: Of what is random.
     """
 
@@ -29,6 +31,7 @@ class Perturbation:
     mass_scale: float = 1.0
     hold_error: float = 0.0
     start_error: float = 0.0
+    push: float = 0.0
     seed: int = 0
 
     def wall(self, wall: Wall, dimension: int) -> Wall:
@@ -43,10 +46,16 @@ class Perturbation:
         return replace(wall, holds=tuple(holds))
 
 
+def on_sphere(rng: np.random.Generator, dimension: int) -> Vector:
+    """A unit vector at random, shape (dimension,)."""
+    direction = rng.normal(size=dimension)
+    result: Vector = direction / np.linalg.norm(direction)
+    return result
+
+
 def in_ball(rng: np.random.Generator, dimension: int) -> Vector:
     """A point of the unit ball at random, shape (dimension,)."""
-    direction = rng.normal(size=dimension)
-    result: Vector = direction / np.linalg.norm(direction) * rng.uniform() ** (1.0 / dimension)
+    result: Vector = on_sphere(rng, dimension) * rng.uniform() ** (1.0 / dimension)
     return result
 
 

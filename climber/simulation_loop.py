@@ -13,15 +13,16 @@ from climber.plan_file import Plan
 from climber.reference import Reference
 from climber.robot import Model, Robot
 from climber.scenario import scenario_from_text
-from climber.simulation import Perturbation, in_ball
+from climber.simulation import Perturbation, in_ball, on_sphere
 from climber.simulation_model import Touch, World
 from climber.simulation_watch import Watch
 from climber.stance import Vector
 
 STUCK = 2.0  # the plan's clock may stand still for so long [s]
 SETTLE = 0.2  # how long the robots are watched after the plan's end [s]
-CATCH_UP = 0.05  # time in which the clock goes from standing to its full pace [s]
+CATCH_UP = 0.1  # time in which the clock goes from standing to its full pace [s]
 NEAR = 0.0001  # a foot so near to its hold has reached it [m]
+GROWING = 0.2  # time in which a push comes on [s]
 RECORD = 100.0  # samples of a recording [Hz]
 
 
@@ -88,6 +89,7 @@ class Loop:
         self._end, self.clock = max(controller.last for controller in controllers), controllers[0].begin
         self.elapsed, self._rate, self._quicker, self._stood, self._over = 0.0, 1.0, 0.0, 0.0, 0.0
         rng = np.random.default_rng([perturbation.seed, 1])
+        self._pushes = [perturbation.push * on_sphere(rng, robot.dimension) for robot in robots]
         self.world.place([self._posture(watch, perturbation.start_error, rng) for watch in self.watches])
         self._touch_all()
 
@@ -144,7 +146,13 @@ class Loop:
             commands.append(command)
             if round(self.elapsed / world.time_step) % round(1.0 / (RECORD * world.time_step)) == 0:
                 watch.record(self.elapsed, q, v, command)
-        world.step([command.applied for command in commands])
+        grown = min(self.elapsed / GROWING, 1.0)
+        world.step(
+            [
+                command.applied + watch.controller.pushed(grown * push)
+                for watch, command, push in zip(self.watches, commands, self._pushes, strict=True)
+            ]
+        )
         self.elapsed += world.time_step
         for watch, command in zip(self.watches, commands, strict=True):
             watch.look(self.elapsed, command)
@@ -170,7 +178,7 @@ class Loop:
         pace = min(watch.controller.pace for watch in self.watches)
         change = float(np.clip(pace - self._rate, -step / CATCH_UP, step / CATCH_UP))
         rate = min(max(self._rate + change, 0.0), 1.0)
-        limit = min([self._end, *(watch.controller.end for watch in self.watches)])
+        limit = min([self._end, *(watch.controller.end for watch in self.watches if not watch.controller.done)])
         after = min(self.clock + rate * step, limit)
         standing = after <= self.clock
         self._rate, self._quicker = (0.0, 0.0) if standing else (rate, change / step)
@@ -179,7 +187,7 @@ class Loop:
         changed = False
         for watch in self.watches:
             if not watch.controller.done and self.clock >= watch.controller.end:
-                watch.controller.landing = abs(self._gap(watch)) > NEAR
+                watch.controller.landing = self._toward(watch) != 0.0
                 if not watch.controller.landing:
                     watch.controller.advance()
                     watch.enter()

@@ -1,4 +1,4 @@
-"""Every scenario that comes with climber solves from its file, and its plan verifies."""
+"""Every scenario that comes with climber solves from its file, its plan verifies, and is climbed in simulation."""
 
 from __future__ import annotations
 
@@ -14,9 +14,14 @@ from climber.plan import plan_climb
 from climber.plan_file import Plan
 from climber.resources import packaged_scenarios
 from climber.scenario import load_scenario
+from climber.simulate import simulate
+from climber.simulation import Perturbation
+from climber.simulation_loop import Setting
 from climber.verify import verify
 
 ELSEWHERE = {"random_1000": "a thousand holds; `make bench` runs it"}
+SEEDS = 5  # each scenario's plan is climbed from so many starts; `make bench` takes 20
+START_ERROR = 0.001  # [m]
 
 
 @cache
@@ -25,7 +30,7 @@ def planned(name: str) -> Plan:
 
 
 @pytest.mark.parametrize("name", [name for name in packaged_scenarios() if name not in ELSEWHERE])
-def test_it_solves_and_the_plan_verifies(name: str) -> None:
+def test_it_solves_and_the_plan_verifies_and_is_climbed(name: str) -> None:
     verdict = verify(planned(name))
     assert verdict.ok, str(verdict)
     # Every phase is timed by the conic program, and if it leads anywhere, a limit keeps it from being faster.
@@ -33,6 +38,11 @@ def test_it_solves_and_the_plan_verifies(name: str) -> None:
     assert {phase.timing.method for phase in phases} == {"conic"}
     moving = [phase.timing.active for phase in phases if np.ptp(phase.q, axis=0).max() > 0.1]
     assert moving and sum(not active for active in moving) <= 0.1 * len(moving)
+    # One test for all of it, so that processes that share the tests do not plan again.
+    setting = Setting(planned(name))
+    for seed in range(SEEDS):
+        climb = simulate(setting, Perturbation(start_error=START_ERROR, seed=seed))
+        assert climb.ok, (seed, climb.slip, [(robot.name, robot.fell, robot.slipped) for robot in climb.robots])
 
 
 def test_on_the_obstacle_wall_the_first_plan_has_postures_but_no_motion() -> None:

@@ -17,7 +17,7 @@ from climber.cli import main
 from climber.reference import Reference
 from climber.robot import Model, Robot
 from climber.scene import Scene
-from climber.simulate import TIME_STEP, monte_carlo, simulate
+from climber.simulate import TIME_STEP, certified, least_margins, monte_carlo, simulate
 from climber.simulation import Perturbation, Simulation
 from climber.simulation_model import FOOT_RADIUS, Touch, World
 from climber.simulation_page import recorded
@@ -201,6 +201,26 @@ def test_a_heavier_robot_is_still_on_its_plan():
     assert max(robot.torque.values()) > max(stepped().robots[0].torque.values())
 
 
+@given(share=st.floats(0.3, 0.95), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=4, deadline=None)
+def test_a_push_that_the_margins_certify_is_survived(share, seed):
+    plan = step_plan()
+    push = Perturbation(push=share * least_margins(plan)["push"], seed=seed)
+    assert certified(plan, push)
+    simulation = simulate(plan, push)
+    assert simulation.ok, simulation.robots[0].fell or simulation.robots[0].slipped
+
+
+def test_margins_certify_one_error_at_a_time():
+    plan = step_plan()
+    least = least_margins(plan)
+    assert certified(plan, Perturbation(friction_scale=1.0 - 0.9 * least["friction"])) is True
+    assert certified(plan, Perturbation(mass_scale=1.0 - 1.1 * least["mass"])) is False
+    assert certified(plan, Perturbation(start_error=0.001)) is True
+    assert certified(plan, Perturbation(push=0.1, mass_scale=1.01)) is None
+    assert certified(plan, Perturbation(hold_error=0.001)) is None
+
+
 def test_forces_go_over_from_phase_to_phase():
     plan = step_plan()
     (part,) = plan.robots
@@ -279,7 +299,9 @@ def test_the_command_counts_who_comes_through(file, capsys):
     assert main(["simulate", str(file), *scales]) == 1
     told = capsys.readouterr().out
     assert "2 of 2" in told
+    assert "friction x 0.15" in told
     assert "0 of 2" in told
+    assert "certified by the plan" in told
     assert "first fall: seed 0" in told
 
 
@@ -290,6 +312,7 @@ def test_the_command_counts_who_comes_through(file, capsys):
         ("--mass-scale", "-1"),
         ("--hold-error", "nan"),
         ("--start-error", "-0.001"),
+        ("--push", "-1"),
         ("--slip-limit", "inf"),
         ("--runs", "0"),
         ("--seed", "-1"),
