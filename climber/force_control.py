@@ -75,7 +75,9 @@ class ForceControl:
     def _readiness(self, wished: Vector) -> Vector:
         """How readily each force changes, shape (m,): a foot that hardly presses has no friction to spare."""
         axes, result = self._axes, np.ones(len(wished))
-        pushes = [float(n @ wished[axes * k : axes * k + axes]) + hold.adhesion for k, (hold, n) in enumerate(self._grips)]
+        pushes = [
+            float(n @ wished[axes * k : axes * k + axes]) + hold.adhesion for k, (hold, n) in enumerate(self._grips)
+        ]
         mean = max(sum(pushes) / len(pushes), LEAST)
         for k, (hold, _) in enumerate(self._grips):
             if hold.grip != "pin":
