@@ -14,32 +14,23 @@ from numpy.typing import NDArray
 from climber.layers import Layers
 from climber.states import Booleans, Integers
 from climber.task_program import Doing
+from climber.ways import Ways
 
 MOST_POSITIONS = 50_000_000  # whether each was reached is a byte
 _CHUNK = 10_000
 
 
-class _Robot:
-    """The nodes of one robot, and the ways from each to others: moves, and a wait."""
+class _Robot(Ways):
+    """Also which way from each node is a wait, and the holds stood on there."""
 
     def __init__(self, layers: Layers) -> None:
+        super().__init__(layers)
         states, components = layers.states, layers.components
-        joins = components.joins()
-        whole = np.flatnonzero(layers.usable & (np.diff(joins.first) == 0))
-        joined = np.flatnonzero(layers.usable[joins.arc] & joins.allowed)
-        tail = np.concatenate([states.tail[whole], joins.tail[joined]])
-        order = np.argsort(tail, kind="stable")
-        self.tail = tail[order]
-        self.head = np.concatenate([states.head[whole], joins.head[joined]])[order]
-        self.arc = np.concatenate([whole, joins.arc[joined]])[order]
-        self.num_nodes = components.num_nodes
-        self.first = np.searchsorted(self.tail, np.arange(self.num_nodes + 1))
-        self.stay = np.empty(self.num_nodes, np.int64)  # the way that waits
+        self.stay = np.empty(self.count, np.int64)  # the way that waits
         waits = np.flatnonzero(self.arc >= states.num_moves)
         self.stay[self.tail[waits]] = waits
-        self.starts, self.goals = components.start_nodes(), components.goal_nodes()
         assert states.holds is not None
-        self.holds = states.holds[states.vertices(components.states_of_nodes())]  # (num_nodes, n)
+        self.holds = states.holds[states.vertices(components.states_of_nodes())]  # (count, n)
 
 
 def joint_positions(
@@ -57,7 +48,7 @@ def joint_positions(
         deadline: When to give up, by `time.perf_counter` [s].
     """
     team = [_Robot(layers) for layers in robots]
-    sizes = tuple(robot.num_nodes for robot in team)
+    sizes = tuple(robot.count for robot in team)
     if float(np.prod(np.array(sizes, float))) > MOST_POSITIONS:
         return None
     seen = np.zeros(sizes, bool).ravel()
@@ -103,9 +94,7 @@ def _following(
     for number, robot in enumerate(team):
         nodes = positions[number, rows]
         if mover is None or mover == number:
-            counts = robot.first[nodes + 1] - robot.first[nodes]
-            stops = np.cumsum(counts)
-            way = np.arange(stops[-1] if len(stops) else 0) + np.repeat(robot.first[nodes] - (stops - counts), counts)
+            counts, way = robot.leaving(nodes)
         else:
             counts, way = np.ones(len(nodes), np.int64), robot.stay[nodes]
         rows, ways = np.repeat(rows, counts), [np.repeat(earlier, counts) for earlier in ways]
@@ -123,7 +112,7 @@ def _following(
                     keep &= ~(np.isin(robot.arc[way], pair[number]) & np.isin(mate.arc[theirs], pair[other]))
         rows, ways = rows[keep], [*(earlier[keep] for earlier in ways), way[keep]]
     heads = tuple(robot.head[way] for robot, way in zip(team, ways, strict=True))
-    result: Integers = np.unique(np.ravel_multi_index(heads, tuple(robot.num_nodes for robot in team)))
+    result: Integers = np.unique(np.ravel_multi_index(heads, tuple(robot.count for robot in team)))
     return result
 
 

@@ -25,6 +25,7 @@ from climber.states import Booleans, Integers, RobotTask
 from climber.task import TaskPlanner, _Tally
 from climber.task_plan import Attempt, Impossible, OutOfTime, TaskPlan
 from climber.task_program import Answer
+from climber.ways import Ways
 
 CHUNK = 50_000  # joint positions expanded at a time
 GATHER = 5_000_000  # joint steps kept before only the cheapest to each position are
@@ -44,22 +45,13 @@ class _Closed(Exception):
         self.positions, self.tally = positions, tally
 
 
-class _Nodes:
-    """One robot's nodes and the ways between them, waits included, sorted by where they leave from."""
+class _Nodes(Ways):
+    """Also what each way costs, and of each node its vertex, component and steps to a goal."""
 
     def __init__(self, layers: Layers) -> None:
+        super().__init__(layers)
         states, components = layers.states, layers.components
-        joins = components.joins()
-        whole = np.flatnonzero(layers.usable & (np.diff(joins.first) == 0))
-        joined = np.flatnonzero(layers.usable[joins.arc] & joins.allowed)
-        tail = np.concatenate([states.tail[whole], joins.tail[joined]])
-        order = np.argsort(tail, kind="stable")
-        self.head = np.concatenate([states.head[whole], joins.head[joined]])[order]
-        self.arc = np.concatenate([whole, joins.arc[joined]])[order]
         self.cost = layers.cost[self.arc]
-        self.count = components.num_nodes
-        self.first = np.searchsorted(tail[order], np.arange(self.count + 1))
-        self.starts, self.goals = components.start_nodes(), components.goal_nodes()
         state = components.states_of_nodes()
         self.to_goal = layers.to_goal[state]
         self.vertex = states.vertices(state)
@@ -71,9 +63,7 @@ class _Nodes:
 
     def ways(self, nodes: Integers, left: int) -> tuple[Integers, Integers]:
         """For each of `nodes` its ways to nodes at most `left` steps from a goal: place among `nodes`, and way."""
-        counts = self.first[nodes + 1] - self.first[nodes]
-        stops = np.cumsum(counts)
-        way = np.arange(stops[-1] if len(stops) else 0) + np.repeat(self.first[nodes] - (stops - counts), counts)
+        counts, way = self.leaving(nodes)
         place = np.repeat(np.arange(len(nodes)), counts)
         good = self.to_goal[self.head[way]] <= left
         return place[good], way[good]
