@@ -21,7 +21,8 @@ from climber.programs.regions import hold_sets_carried
 from climber.prune import distances, impossible_moves, out_of_reach
 from climber.random_wall import Recipe, hold_defaults
 from climber.robot import Model, Robot
-from climber.scenario_fields import CircleSpec, CostWeights, RegionSpec
+from climber.scenario_fields import CostWeights
+from climber.scenario_shapes import CircleSpec, RegionSpec
 from climber.stance import Contact, Stance, Vector
 from climber.transition import Postures
 from climber.transitions import TransitionFinder

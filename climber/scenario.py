@@ -18,23 +18,25 @@ from climber.resources import packaged_scenarios, resolve_model, resolve_scenari
 from climber.scenario_check import check_against_robot, check_scenario
 from climber.scenario_fields import (
     AvoidSpec,
-    BoxSpec,
     Budget,
-    CircleSpec,
-    ConvexSpec,
     CostWeights,
-    CylinderSpec,
-    FacetSpec,
     HoldDefaults,
     HoldSpec,
     MinMargin,
     Place,
-    PolygonSpec,
-    RegionSpec,
     RobotSpec,
     ScenarioFields,
-    SphereSpec,
     WallSpec,
+)
+from climber.scenario_shapes import (
+    BoxSpec,
+    CircleSpec,
+    ConvexSpec,
+    CylinderSpec,
+    FacetSpec,
+    PolygonSpec,
+    RegionSpec,
+    SphereSpec,
 )
 from climber.wall import Wall
 from climber.yaml_tree import check_tree, read_tree

@@ -23,7 +23,8 @@ from climber.yaml_tree import join, nearest
 
 if TYPE_CHECKING:
     from climber.scenario import Scenario
-    from climber.scenario_fields import Place, RegionSpec, RobotSpec
+    from climber.scenario_fields import Place, RobotSpec
+    from climber.scenario_shapes import RegionSpec
 
 _SMALLEST_NORMAL = 1e-9
 _SMALLEST_AREA = 1e-12  # [m^2]

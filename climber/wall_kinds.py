@@ -15,7 +15,8 @@ import numpy as np
 
 from climber.exceptions import ClimberError
 from climber.random_wall import DIGITS, NORMAL_DIGITS, Recipe, Spread, hold_defaults, plane_holds, throw
-from climber.scenario_fields import FacetSpec, HoldSpec
+from climber.scenario_fields import HoldSpec
+from climber.scenario_shapes import FacetSpec
 from climber.stance import Vector
 from climber.wall import Wall
 
