@@ -26,6 +26,7 @@ from climber.verify_motion import drift
 PACE = 0.6  # share of the joint rate limits that a motion of fixed shape uses at the most
 SLOWING = 1.05  # what a leg is slowed by when forces at its samples leave their limits
 FEWEST = 80  # samples of a leg, so that a short one is as finely described as a long one
+FINER = (1, 2, 4, 8, 16)  # times as many samples, where so many do not tell the motion
 TELLING = 0.9  # share of the error that `verify` allows between samples
 
 
@@ -98,15 +99,19 @@ def timed(
         The samples with their forces and torques, and how they came about; or, if there is no timing, why not.
     """
     limits = RateLimits.of(body.robot, budget.pace, [contact.limb for contact in contacts])
-    legs: list[_TimedLeg] = []
-    for path in paced:
-        leg = _timed_leg(body, contacts, path, limits, budget)
-        if leg is None:
-            return by_fixed_law(body, contacts, paced, budget)
-        if isinstance(leg, str):
-            return leg
-        legs.append(leg)
-    samples, timing = joined([leg.samples for leg in legs]), legs[0].timing
+    for finer in FINER:
+        legs: list[_TimedLeg] = []
+        for path in paced:
+            leg = _timed_leg(body, contacts, path, limits, budget, finer)
+            if leg is None:
+                return by_fixed_law(body, contacts, paced, budget)
+            if isinstance(leg, str):
+                return leg
+            legs.append(leg)
+        samples, timing = joined([leg.samples for leg in legs]), legs[0].timing
+        # Where legs meet there is a kink that neither of them has by itself.
+        if len(legs) == 1 or _told(body.robot, samples):
+            break
     if samples.time[-1] > budget.slowest:
         return f"the motion takes {samples.time[-1]:.0f} s at its fastest"
     began = np.cumsum([leg.samples.time[-1] for leg in legs])
@@ -129,7 +134,12 @@ class _TimedLeg:
 
 
 def _timed_leg(
-    body: Body, contacts: Sequence[Contact], path: PacedPath, limits: RateLimits, budget: MotionBudget
+    body: Body,
+    contacts: Sequence[Contact],
+    path: PacedPath,
+    limits: RateLimits,
+    budget: MotionBudget,
+    finer: int,
 ) -> _TimedLeg | str | None:
     """A leg as fast as can be; why it has no timing; or None where there is no room that a timing could be found in.
 
@@ -138,14 +148,14 @@ def _timed_leg(
     """
     leg = fastest_leg(body, contacts, path, limits)
     if isinstance(leg, FastLeg):
-        (samples,) = _sampled(body.robot, [leg], [leg.duration], budget.rate)
+        (samples,) = _sampled(body.robot, [leg], [leg.duration], budget.rate, finer)
         if limits.slowing(samples) > 1.0:
             leg = fastest_leg(body, contacts, path, limits, finer=2)
     if not isinstance(leg, FastLeg):
         return leg
     why = "limits of speed, acceleration and jerk"
     while leg.duration <= budget.slowest:
-        (samples,) = _sampled(body.robot, [leg], [leg.duration], budget.rate)
+        (samples,) = _sampled(body.robot, [leg], [leg.duration], budget.rate, finer)
         slowing = limits.slowing(samples)
         if slowing == 1.0:
             dynamics = evaluate(body.robot, samples.q, samples.v, [contact.limb for contact in contacts])
@@ -190,20 +200,26 @@ class _Leg(Protocol):
     def samples(self, duration: float, count: int) -> Samples: ...
 
 
-def _sampled(robot: Robot, legs: Sequence[_Leg], durations: Sequence[float], rate: float) -> list[Samples]:
-    """The legs at `rate` [Hz] or finer, so that the samples tell the motion.
+def _sampled(
+    robot: Robot, legs: Sequence[_Leg], durations: Sequence[float], rate: float, least: int = 1
+) -> list[Samples]:
+    """The legs at `rate` [Hz] or `least` times as finely, or finer, so that the samples tell the motion.
 
     The pace has more turns than a short phase has samples; between samples that miss them nobody could say how the
     robot moves, nor `verify` that it does so.
     """
-    for finer in (1, 2, 4, 8, 16):
+    for finer in FINER[FINER.index(least) :]:
         counts = [finer * max(FEWEST, int(np.ceil(d * rate))) + 1 for d in durations]
         pieces = [leg.samples(d, count) for leg, d, count in zip(legs, durations, counts, strict=True)]
-        samples = joined(pieces)
-        rates = robot.rates(samples.q, samples.v, samples.vd)
-        if max(float(error.max(initial=0.0)) for error in drift(samples, rates)) <= TELLING:
+        if _told(robot, joined(pieces)):
             break
     return pieces
+
+
+def _told(robot: Robot, samples: Samples) -> bool:
+    """Whether samples tell the motion: rates are those that their differences lead to."""
+    rates = robot.rates(samples.q, samples.v, samples.vd)
+    return max(float(error.max(initial=0.0)) for error in drift(samples, rates)) <= TELLING
 
 
 def chained(phases: Sequence[PhaseMotion], angle: Indices) -> list[PhaseMotion]:
