@@ -30,7 +30,7 @@ from climber.wall import Wall
 
 AROUND = 8  # directions in a plane
 # By which share, and by how much in its own unit, a margin may be less than the greatest: in the plane and in space.
-SHORT = {2: 0.03, 3: 0.12}
+SHORT = {2: 0.03, 3: 0.35}
 SMALLEST = 1e-4
 NARROW = 0.02  # share of friction that a planner may leave unused which fits pyramids into cones in space
 UNSURVIVED = 1e-8  # [N, N m] what must be lacking at a greater error
