@@ -22,11 +22,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.rows import Row
+from climber.climb_search import ClimbSearch
 from climber.curve import Curve, polyline_lengths, rounded, smooth
 from climber.manifold import Body, Manifold
 from climber.path import Leg, Search, find_path, flips
 from climber.phases import Curves, Stretch
-from climber.plan import ClimbSearch
 from climber.programs.kinematic_trajectory import KinematicTrajectoryProgram
 from climber.programs.posture import PostureProgram, distance, improve_posture
 from climber.programs.trajectory import NUM_CONTROL, ChartProgram, refine

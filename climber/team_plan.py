@@ -21,12 +21,12 @@ from typing import Any, cast
 import numpy as np
 
 from climber.clearance import segment_distance
+from climber.climb_search import ClimbSearch, Report, decode
 from climber.exceptions import NoPlanFound
 from climber.graph import build_stance_graph
 from climber.lessons import Lessons, OnFailure
 from climber.motion import MotionPlanner
 from climber.phases import Way
-from climber.plan import ClimbSearch, Report, decode
 from climber.plan_parts import Fact, RobotPlan
 from climber.product import ProductPlanner
 from climber.prune import impossible_moves
