@@ -87,8 +87,7 @@ class _Several:
             return self._told(cap, worst, list(toward), [int(w) for w in worst.which])
         disturbance = {"push": phases.push, "mass": phases.mass, "center": phases.center}[kind]
         around = rays(disturbance.B.shape[2])
-        worst = DisturbanceMargin(phases.instants, disturbance.B, disturbance.C, cap, around).solve()
-        toward = around.directions[worst.which]
+        worst, toward = DisturbanceMargin(phases.instants, disturbance.B, disturbance.C, cap, around).solve()
         if kind == "mass":  # heavier pulls down, lighter up
             toward = toward * phases.robot.gravity / max(float(np.linalg.norm(phases.robot.gravity)), 1e-300)
         return self._told(cap, worst, list(toward), [None] * len(toward))

@@ -59,7 +59,7 @@ def push(*holds: Hold) -> float:
     """The greatest push on a mass in any direction [N]."""
     instants, _ = point_mass(*holds)
     B, C = -np.eye(2)[None], np.zeros((1, instants.G.shape[1], 2))
-    return float(DisturbanceMargin(instants, B, C, 1000.0, rays(2)).solve().value[0])
+    return float(DisturbanceMargin(instants, B, C, 1000.0, rays(2)).solve()[0].value[0])
 
 
 def of_grips(kind: type[FrictionError] | type[NormalError], *holds: Hold) -> float:
@@ -142,6 +142,40 @@ def test_the_ball_in_a_polytope_is_inside_and_nearly_as_large_as_can_be(dimensio
     assert radius[0] <= speed_max + 1e-9
     assert radius[0] >= (1.0 - gap) * rho.min() - 1e-9
     assert (raised[0] <= rho + 1e-9).all()  # chords of a convex set are inside it
+
+
+@given(seed=seeds)
+@settings(max_examples=10, deadline=None)
+def test_the_ball_in_a_jagged_polytope_in_space_is_as_large_as_its_nearest_simplex_allows(seed: int) -> None:
+    """The planes of simplices may be much nearer than the simplices: points all over these say where the nearest is."""
+    around = rays(3)
+    rho = np.random.default_rng(seed).uniform(1.0, 6.0, (1, len(around.directions)))
+    radius, _, raised = around.inscribed(rho)
+    i, j = np.mgrid[:41, :41]
+    shares = np.stack([i, j, 40 - i - j], axis=-1)[i + j <= 40] / 40.0
+    points = shares @ (raised[0][around.faces][..., None] * around.directions[around.faces])
+    nearest = np.linalg.norm(points, axis=-1).min()
+    assert nearest * 0.99 <= radius[0] <= nearest + 1e-9
+
+
+@given(seed=seeds)
+@settings(max_examples=10, deadline=None)
+def test_among_planes_the_ball_in_space_and_the_direction_that_is_worst_are_those_of_the_nearest(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    normals = np.concatenate([rng.normal(size=(12, 3)), np.eye(3), -np.eye(3)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    offsets = rng.uniform(1.0, 3.0, (2, len(normals)))
+    # Disturbances d with normals . d <= offsets, whatever the one contact force between -1 and 1 is.
+    G = np.tile(np.vstack([np.zeros((len(normals), 1)), [[1.0], [-1.0]]]), (2, 1, 1))
+    C = np.tile(np.vstack([-normals, np.zeros((2, 3))]), (2, 1, 1))
+    g, weight = np.hstack([offsets, np.ones((2, 2))]), np.ones(len(normals) + 2)
+    none = np.zeros((2, 1, 1))
+    instants = Instants(none, none[:, 0], G, g, weight, np.zeros(2, dtype=int), none)
+    worst, toward = DisturbanceMargin(instants, np.zeros((2, 1, 3)), C, 100.0, rays(3)).solve()
+    assert worst.value[0] <= offsets.min() + 1e-6
+    assert worst.value[0] >= 0.93 * offsets.min()
+    along = np.maximum(normals @ toward[0], 1e-9)
+    assert (offsets[worst.instant[0]] / along).min() <= 1.08 * worst.value[0]
 
 
 @cache

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from climber.programs.rays import Rays
-from climber.programs.survival import Instants, solve_each
+from climber.programs.survival import Instants, solve_each_and_multipliers
 from climber.robot import Indices
 from climber.stance import Vector
 
@@ -45,6 +45,15 @@ class DisturbanceMargin:
 
     and the ball inside the polytope of the points rho_m u_m is proved. In one dimension it is exact, in the plane it is
     the greatest but for the factor cos(pi / M) of M rays.
+
+    The multipliers y and z of such a program with rho < cap say what bounds the disturbances there: E^T y + G^T z = 0
+    and z >= 0, so that every one that is survived has
+
+        a . d <= h   with   a = -B^T y - C^T z,   h = y . b + z . g,
+
+    a plane through rho_m u_m, and no ball may be greater than h / |a|. The least of these is the bound that the proved
+    ball is compared with, and its a the direction that is worst: to the foot of the plane, which may be far from all
+    rays.
     """
 
     def __init__(self, instants: Instants, B: Vector, C: Vector, cap: float, rays: Rays) -> None:
@@ -60,6 +69,7 @@ class DisturbanceMargin:
         self.instants, self.rays, self.cap = instants, rays, cap
         self._right = np.einsum("kud,md->kmu", B, rays.directions)
         self._limits = np.einsum("krd,md->kmr", C, rays.directions)
+        self._B, self._C = B, C
         K, M = len(instants), len(rays.directions)
         self._room = instants.room(instants.center)
         self.rho = np.zeros((K, M))
@@ -72,12 +82,13 @@ class DisturbanceMargin:
         self._exact |= gap > 1e-7
         self.rho = np.where(self._exact, 0.0, np.minimum(far, cap))
 
-    def solve(self) -> Worst:
-        """The margins."""
+    def solve(self) -> tuple[Worst, Vector]:
+        """The margins, `which` being the nearest ray, and the directions that are worst, shape (P, D)."""
         starts = self.instants.starts
         P = len(starts) - 1
         value, best = np.zeros(P), np.full(P, self.cap)
         worst, which = starts[:-1].copy(), np.zeros(P, dtype=int)
+        toward = np.zeros((P, self.rays.directions.shape[1]))
         radius, face = np.empty(len(self.instants)), np.empty(len(self.instants), dtype=int)
         unfinished: Sequence[int] = range(P)
         while unfinished:
@@ -92,36 +103,46 @@ class DisturbanceMargin:
                 missing = [(k, int(m)) for m in corners if not self._exact[k, m] and self.rho[k, m] < self.cap]
                 if not missing and self.rho[k, nearest] < best[p]:
                     best[p], worst[p], which[p] = self.rho[k, nearest], k, nearest
+                    toward[p] = self.rays.directions[nearest]
                 if value[p] < (1.0 - GAP) * best[p]:
                     wanted += missing
             unfinished = sorted({int(self.instants.phase[k]) for k, _ in wanted})
             if wanted:
-                for k, m, border in zip(*self._refine(np.array(wanted)), strict=True):
-                    p = self.instants.phase[k]
-                    if border < best[p]:
-                        best[p], worst[p], which[p] = border, k, m
-        return Worst(value, worst, which)
+                bounds, feet = self._refine(np.array(wanted))
+                for (k, m), bound, foot in zip(wanted, bounds, feet, strict=True):
+                    p = int(self.instants.phase[k])
+                    if bound < best[p]:
+                        best[p], worst[p], which[p], toward[p] = bound, k, m, foot
+        return Worst(value, worst, which), toward
 
-    def _refine(self, pairs: Indices) -> tuple[list[int], list[int], list[float]]:
-        """Solves the programs of pairs of instants and rays; their borders.
+    def _refine(self, pairs: Indices) -> tuple[Vector, Vector]:
+        """Solves programs of pairs of instants and rays; their forces are tried at the other instants of the phases.
 
-        The forces are tried at the other instants of the phases.
+        Returns:
+            The greatest ball that each leaves possible, shape (N,), and the unit vector to where it touches, (N, D).
         """
         k, m = pairs.T
         at = self.instants[k]
-        n = at.E.shape[2]
+        n, r = at.E.shape[2], at.G.shape[1]
         B, C = self._right[k, m], self._limits[k, m]
+        b = at.balanceable
         cost, most = np.zeros((len(k), n + 1)), np.zeros((len(k), 1, n + 1))
         cost[:, n], most[:, 0, n] = -1.0, 1.0
         rows = np.concatenate([np.concatenate([at.G, -C[:, :, None]], axis=2), most], axis=1)
         right = np.concatenate([at.g, np.full((len(k), 1), self.cap)], axis=1)
-        found = solve_each(cost, np.concatenate([at.E, -B[:, :, None]], axis=2), at.balanceable, rows, right)
+        found, y, z = solve_each_and_multipliers(cost, np.concatenate([at.E, -B[:, :, None]], axis=2), b, rows, right)
         starts = self.instants.starts
         for i in np.flatnonzero(np.isfinite(found[:, n]) & (found[:, n] > 0.0)):
             p = self.instants.phase[k[i]]
             self._try(slice(starts[p], starts[p + 1]), int(m[i]), found[i, :n], found[i, n])
         self._exact[k, m] = True
-        return k.tolist(), m.tolist(), self.rho[k, m].tolist()
+        bound, foot = self.rho[k, m], self.rays.directions[m].copy()
+        a = -np.einsum("kud,ku->kd", self._B[k], y) - np.einsum("krd,kr->kd", self._C[k], z[:, :r])
+        length = np.linalg.norm(a, axis=1)
+        # Where the cap is what bounds, a has no part along the ray.
+        for i in np.flatnonzero((np.einsum("kd,kd->k", a, foot) > 0.5) & (length > 1.0)):
+            bound[i], foot[i] = bound[i] / length[i], a[i] / length[i]
+        return bound, foot
 
     def _try(self, span: slice, m: int, x: Vector, rho: float) -> None:
         """Follows the way from the center to forces x for the disturbance rho u_m, at the instants of a phase."""

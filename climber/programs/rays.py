@@ -11,7 +11,7 @@ from climber.robot import Indices
 from climber.stance import Vector
 
 IN_THE_PLANE = 32
-LOOKED_AT = 8  # simplices in space, those whose planes are nearest, that are measured themselves
+LOOKED_AT = 8  # simplices in space that are measured at a time, those whose planes are nearest
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,16 @@ class Rays:
         with np.errstate(divide="ignore", invalid="ignore"):
             y = np.einsum("fxi,kfi->kfx", self._inverse, 1.0 / rho)
             length = np.linalg.norm(y, axis=2)
-        plane = np.where(np.isfinite(length), 1.0 / np.maximum(length, 1e-300), 0.0)
-        low = np.argpartition(plane, LOOKED_AT, axis=1)[:, :LOOKED_AT]
-        near = np.take_along_axis(rho, low[..., None], axis=1)[..., None] * self.directions[self.faces[low]]
-        np.put_along_axis(plane, low, _triangle(near), axis=1)
-        return np.asarray(plane)
+        result = np.where(np.isfinite(length), 1.0 / np.maximum(length, 1e-300), 0.0)
+        measured = np.zeros(result.shape, dtype=bool)
+        unsure = np.arange(len(rho))
+        while len(unsure):  # until the nearest of all is itself measured, not only its plane
+            low = np.argpartition(np.where(measured[unsure], np.inf, result[unsure]), LOOKED_AT, axis=1)[:, :LOOKED_AT]
+            place = unsure[:, None]
+            result[place, low] = _triangle(rho[place, low][..., None] * self.directions[self.faces[low]])
+            measured[place, low] = True
+            unsure = unsure[~measured[unsure, result[unsure].argmin(axis=1)]]
+        return np.asarray(result)
 
     @cached_property
     def _inverse(self) -> Vector:

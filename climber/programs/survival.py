@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from climber.programs.blocks import solve_blocks
+from climber.programs.blocks import solve_blocks_and_multipliers
 from climber.robot import Indices
 from climber.stance import Vector
 
@@ -143,13 +143,26 @@ class Instants:
 
 def solve_each(q: Vector, E: Vector, b: Vector, G: Vector, g: Vector) -> Vector:
     """`solve_blocks` of linear programs; where one spoils the rest, each for itself, NaN where there is no solution."""
-    found = solve_blocks(None, q, E, b, G, g)
+    return solve_each_and_multipliers(q, E, b, G, g)[0]
+
+
+def solve_each_and_multipliers(q: Vector, E: Vector, b: Vector, G: Vector, g: Vector) -> tuple[Vector, Vector, Vector]:
+    """`solve_each`, and the multipliers of E x = b and of G x <= g, NaN where there is no solution."""
+    found = solve_blocks_and_multipliers(None, q, E, b, G, g)
     if found is not None:
         return found
     if len(q) == 1:
         # A hair's breadth of difference is enough for the solver to get on.
-        found = solve_blocks(None, q, E, b, G, g + NUDGE * np.arange(1, g.shape[1] + 1) / g.shape[1])
-        return np.full_like(q, np.nan) if found is None else found
+        nudge = NUDGE * np.arange(1, g.shape[1] + 1) / g.shape[1]
+        found = solve_blocks_and_multipliers(None, q, E, b, G, g + nudge)
+        return (np.full_like(q, np.nan), np.full_like(b, np.nan), np.full_like(g, np.nan)) if found is None else found
     half = len(q) // 2
-    parts = [solve_each(q[part], E[part], b[part], G[part], g[part]) for part in (slice(half), slice(half, None))]
-    return np.concatenate(parts)
+    first, second = (
+        solve_each_and_multipliers(q[part], E[part], b[part], G[part], g[part])
+        for part in (slice(half), slice(half, None))
+    )
+    return (
+        np.concatenate([first[0], second[0]]),
+        np.concatenate([first[1], second[1]]),
+        np.concatenate([first[2], second[2]]),
+    )
