@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -46,11 +45,6 @@ class DynamicsBatch:
     J: Vector
     Jdot_v: Vector
     actuated: Indices
-
-    @cached_property
-    def unactuated(self) -> Indices:
-        """Places of the velocities that no joint torque acts on, shape (nv - num_joints,)."""
-        return np.setdiff1d(np.arange(self.h.shape[1]), self.actuated)
 
     def load(self, vd: Vector) -> Vector:
         """M vd + h, what torques and contact forces must supply for accelerations `vd`, both of shape (K, nv)."""

@@ -205,8 +205,3 @@ class NewtonChart:
             size = np.linalg.norm(step, axis=1)
             w[todo] -= step * np.minimum(1.0, STRIDE / np.maximum(size, 1e-300))[:, None]
         return flat + w @ self.tied.T, w, least
-
-    def contains(self, q: Vector) -> bool:
-        """Whether the configuration `q`, shape (nq,), is a point of this chart."""
-        found, slack = self.expand(self.coordinates(q)[None])
-        return bool(slack[0] >= 0.0 and np.abs(found[0] - q).max() < 1e-6)

@@ -29,13 +29,13 @@ def _recorded(plan: RobotPlan, run: RobotRun) -> RobotPlan:
     for number, phase in enumerate(plan.phases):
         rows = np.flatnonzero(track.phase == number)
         if len(rows) >= 2:
-            phases.append(_phase(phase, plan, run, rows))
+            phases.append(_phase(phase, run, rows))
     return replace(
         plan, positions=run.positions, velocities=run.velocities, joints=tuple(run.torque), phases=tuple(phases)
     )
 
 
-def _phase(phase: Phase, plan: RobotPlan, run: RobotRun, rows: np.ndarray) -> Phase:
+def _phase(phase: Phase, run: RobotRun, rows: np.ndarray) -> Phase:
     track, limbs = run.track, list(run.limbs)
     return replace(
         phase,

@@ -121,7 +121,7 @@ class MotionChecks:
         """Checks every phase."""
         for number, phase in enumerate(self._plan.phases):
             samples = Motion.samples(phase, self._plan, self._robot)
-            self._sampling(number, phase, samples)
+            self._sampling(number, samples)
             motion = samples.filled(BETWEEN)
             poses = self._tree.poses(motion.q)
             feet, center = self._tree.feet(poses), self._tree.center_of_mass(poses)
@@ -147,7 +147,7 @@ class MotionChecks:
 
         self._ledger.note(name, wide.ravel(), where)
 
-    def _sampling(self, number: int, phase: Phase, samples: Motion) -> None:
+    def _sampling(self, number: int, samples: Motion) -> None:
         """The samples are dense, and each series is the derivative of the one before."""
         self._note("sampling", number, samples.time[:-1], np.diff(samples.time))
         velocity, acceleration = drift(samples, self._tree.rates(samples.q, samples.v, samples.vd))
