@@ -21,6 +21,7 @@ from climber.verify import verify
 
 ELSEWHERE = {
     "random_1000": "a thousand holds; `make bench` runs it",
+    "board": "minutes; `make bench` runs it",
     "lemur_chimney": "minutes; `make bench` runs it",
     "lemur_corner": "minutes; `make bench` runs it",
     "lemur_overhang": "minutes; `make bench` runs it",
