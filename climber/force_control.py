@@ -10,7 +10,7 @@ from climber.stance import Vector
 from climber.wall import Wall
 
 LEAST = 0.05  # a foot presses on its hold at least so hard [N]
-SAFE = 0.95  # share of a friction cone that is used
+SAFE = 0.98  # share of a friction cone that is used, unless the wished force uses more
 LIGHT = 0.1  # least readiness of a light foot to press harder, beside one with its share of the load
 ROUNDS = 4
 
@@ -58,13 +58,13 @@ class ForceControl:
             E: What they do to the robot, shape (rows, m).
             load: What they have to do, shape (rows,).
         """
-        ready = self._readiness(wished)
+        ready, shares = self._readiness(wished), self._shares(wished)
         ease, forces = self._ease * np.outer(ready, ready), wished.copy()
         for _ in range(ROUNDS):
             carry = E @ ease @ E.T
             carry += (1e-9 * np.trace(carry) + 1e-12) * np.eye(len(carry))
             forces = forces + ease @ E.T @ np.linalg.solve(carry, load - E @ forces)
-            outside, forces = self._inside(forces)
+            outside, forces = self._inside(forces, shares)
             if not outside:
                 break
             ease = ease.copy()
@@ -84,7 +84,18 @@ class ForceControl:
                 result[axes * k : axes * k + axes] = min(max(pushes[k] / mean, LIGHT), 1.0)
         return result
 
-    def _inside(self, forces: Vector) -> tuple[list[slice], Vector]:
+    def _shares(self, wished: Vector) -> list[float]:
+        """The share of each foot's friction that may be used: what is wished for can be had."""
+        result = []
+        for k, (hold, normal) in enumerate(self._grips):
+            total = wished[self._axes * k : self._axes * k + self._axes] + hold.adhesion * normal
+            push = float(normal @ total)
+            slide = float(np.sqrt(max(total @ total - push * push, 0.0)))
+            used = slide / max(hold.friction * push, 1e-9) if hold.grip != "pin" and push > LEAST else 0.0
+            result.append(min(max(SAFE, used), 1.0))
+        return result
+
+    def _inside(self, forces: Vector, shares: Sequence[float]) -> tuple[list[slice], Vector]:
         """Which feet's forces are outside their cones, and all forces with these moved to the border."""
         axes, moved = self._axes, []
         for k, (hold, normal) in enumerate(self._grips):
@@ -95,7 +106,7 @@ class ForceControl:
             push = float(normal @ total)
             along = total - push * normal
             least = max(push, LEAST)
-            most, slide = SAFE * hold.friction * least, float(np.sqrt(along @ along))
+            most, slide = shares[k] * hold.friction * least, float(np.sqrt(along @ along))
             if push < least or slide > most:
                 along = along * min(1.0, most / max(slide, 1e-12))
                 forces = forces.copy()
