@@ -67,15 +67,15 @@ class DisturbanceMargin:
             rays: In D dimensions.
         """
         self.instants, self.rays, self.cap = instants, rays, cap
-        self._right = np.einsum("kud,md->kmu", B, rays.directions)
-        self._limits = np.einsum("krd,md->kmr", C, rays.directions)
+        self._right = rays.directions @ np.swapaxes(B, 1, 2)
+        self._limits = rays.directions @ np.swapaxes(C, 1, 2)
         self._B, self._C = B, C
         K, M = len(instants), len(rays.directions)
         self._room = instants.room(instants.center)
         self.rho = np.zeros((K, M))
         self._exact = np.broadcast_to(~instants.sound[:, None], (K, M)).copy()
-        answer = np.einsum("knu,kmu->kmn", instants.inverse, self._right)
-        gap = np.abs(np.einsum("kun,kmn->kmu", instants.E, answer) - self._right).max(axis=2, initial=0.0)
+        answer = self._right @ np.swapaxes(instants.inverse, 1, 2)
+        gap = np.abs(answer @ np.swapaxes(instants.E, 1, 2) - self._right).max(axis=2, initial=0.0)
         slope = instants.G @ np.swapaxes(answer, 1, 2) - np.swapaxes(self._limits, 1, 2)
         far = instants.stepped(self._room[:, :, None], slope)
         # A disturbance that no forces balance, of whatever size, is not survived at all.
@@ -149,6 +149,6 @@ class DisturbanceMargin:
         near = self.instants[span]
         center, room = self.instants.center[span], self._room[span]
         step = near.balanced(x, rho * self._right[span, m]) - center
-        slope = np.einsum("krn,kn->kr", near.G, step) - rho * self._limits[span, m]
+        slope = (near.G @ step[:, :, None])[:, :, 0] - rho * self._limits[span, m]
         far = np.minimum(near.stepped(room, slope) * rho, self.cap)
         self.rho[span, m] = np.where(self._exact[span, m], self.rho[span, m], np.maximum(self.rho[span, m], far))
