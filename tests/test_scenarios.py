@@ -48,7 +48,8 @@ def test_it_solves_and_the_plan_verifies_and_is_climbed(name: str) -> None:
     phases = [phase for robot in planned(name).robots for phase in robot.phases]
     assert in_space or {phase.timing.method for phase in phases} == {"conic"}
     moving = [phase for phase in phases if phase.timing.method == "conic" and np.ptp(phase.q, axis=0).max() > 0.1]
-    assert moving and sum(not phase.timing.active for phase in moving) <= 0.1 * len(moving)
+    # (A leg that was slowed because its samples showed more than the program saw is at no limit; in space more are.)
+    assert moving and sum(not phase.timing.active for phase in moving) <= (0.2 if in_space else 0.1) * len(moving)
     # One test for all of it, so that processes that share the tests do not plan again.
     for seed in range(1 if in_space else SEEDS):  # which takes a minute in space
         perturbation = Perturbation(start_error=0.0 if in_space else START_ERROR, seed=seed)
