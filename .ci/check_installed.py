@@ -28,5 +28,5 @@ for name in packaged_scenarios():
     gravity = scenario.build_wall().gravity
     for number, spec in enumerate(scenario.robots):
         robot = Robot(Model.load(spec.model, scenario.folder), gravity)
-        check_against_robot(scenario, number, robot.limb_names, robot.joint_limits)
+        check_against_robot(scenario, number, robot.limb_names, robot.joint_limits, robot.planar)
         print(f"{name}: {len(scenario.wall.holds)} holds, {spec.name} of {robot.mass:.1f} kg from {spec.model}")
