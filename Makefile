@@ -17,7 +17,7 @@ demo: $(VENV)/.ready
 	$(BIN)/climber verify out/basic/plan.json
 
 test: $(VENV)/.ready-test
-	$(BIN)/python -m pytest --numprocesses auto
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 bench: $(VENV)/.ready-bench
 	$(BIN)/python -m benchmarks

@@ -37,6 +37,7 @@ from climber.transitions import Effort, MoveFailure, TransitionFinder
 
 Report = Callable[[str], None]
 EFFORTS = (1, 4)  # multiples of the budget for postures and paths that are spent before giving up
+ASKED_BALANCE = 0.002  # [m] from the border of the support, where the margins that count are asked for by name
 
 
 @dataclass
@@ -74,7 +75,9 @@ class ClimbSearch:
         self.demands = Demands.of(scenario.build_wall(), scenario.min_margin)
         self.body = Body(self.robot, wall, self.demands)
         usual = Margins()
-        margins = replace(usual, balance=max(usual.balance, self.demands.balance))
+        # Margins that are asked for by name take the place of the one that is kept for no reason given.
+        asked = max(ASKED_BALANCE, self.demands.balance)
+        margins = replace(usual, balance=asked) if self.demands.least else usual
         self.finder = TransitionFinder(self.body, np.random.default_rng(self.seed), Effort.of(scenario.budget), margins)
         objective = cast(ObjectiveKind, scenario.objective)
         self.planner = MotionPlanner(self.finder, MotionBudget.of(scenario.budget), objective)

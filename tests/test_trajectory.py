@@ -28,6 +28,7 @@ from climber.wall import Wall, circle
 WALL, START, _ = thesis_wall("W2")
 CONTACTS = [Contact(limb, hold) for limb, hold in enumerate(START.holds)]
 FINE = 0.005  # [rad] four times finer than curves are checked when they are made
+NARROW = Margins(balance=0.002)  # of the ways that are looked at here, some pass close to the support's border
 
 
 def body_on(wall: Wall) -> Body:
@@ -53,11 +54,11 @@ def ways(count: int, seed: int) -> list[Way]:
     cornered: list[Way] = []
     manifolds = []
     for limb in (1, 3):
-        q = find_transition(BODY, CONTACTS, limb, rng).q
+        q = find_transition(BODY, CONTACTS, limb, rng, NARROW).q
         for contacts in (CONTACTS, [c for c in CONTACTS if c.limb != limb]):
             support = support_of(BODY, contacts)
             assert support is not None
-            manifolds.append((Manifold(BODY, contacts, support), q))
+            manifolds.append((Manifold(BODY, contacts, support, NARROW), q))
     while len(straight) < count or len(cornered) < count:
         manifold, q = manifolds[int(rng.integers(len(manifolds)))]
         a, b = q[rng.choice(len(q), 2, replace=False)]
