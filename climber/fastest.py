@@ -23,9 +23,10 @@ from climber.manifold import Body
 from climber.programs import torque_blocks
 from climber.programs.forces import wall_forces
 from climber.programs.instants import Instants, Margin
+from climber.programs.path_dynamics import PathDynamics
 from climber.programs.safest import cone_room
 from climber.programs.speed_profile import SpeedProfile, TimeLaw
-from climber.programs.time_scaling import PathDynamics, TimeScaling, TimeScalingProgram
+from climber.programs.time_scaling import TimeScaling, TimeScalingProgram
 from climber.programs.torque import solve_instants
 from climber.robot import Robot
 from climber.stance import Contact, Vector

@@ -15,8 +15,9 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces
 from pydrake.trajectories import PiecewisePolynomial
 
+from climber.programs.path_dynamics import FASTEST, PathDynamics
 from climber.programs.speed_profile import SpeedProfile, TimeLaw
-from climber.programs.time_scaling import FASTEST, PathDynamics, TimeScaling, TimeScalingProgram
+from climber.programs.time_scaling import TimeScaling, TimeScalingProgram
 from climber.stance import Vector
 
 G = 9.81

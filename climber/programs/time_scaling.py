@@ -7,112 +7,19 @@ the forces of the contacts are variables beside the speed, so that a timing come
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 
-import clarabel
 import numpy as np
-from numpy.typing import NDArray
-from scipy import sparse
 
+from climber.programs.path_dynamics import SLOWEST, Mask, PathDynamics
+from climber.programs.sparse_program import Part, Rows, SparseProgram
 from climber.programs.speed_profile import SpeedProfile
 from climber.robot import Indices
 from climber.stance import Vector
 
-FASTEST = 100.0  # b is bounded by this: no motion is more than ten times as fast as the path's own pace
-SLOWEST = 1e-6  # and coefficients of b by this: nor a thousand times as slow
-LIKELY = 0.3  # share of the greatest jerk, against its limit, that makes another worth watching
 ROUNDS = 6  # after the first, at the most
 GAIN = 0.02  # share of the duration: a round that gains less is the last one
-GAP = 1e-6  # relative accuracy asked of the duration
-FEASIBILITY = 1e-7  # accuracy asked of the constraints
 ACTIVE = 1e-3  # share of a limit: less room than this, and a price on it of more than this, make it active
-Mask = NDArray[np.bool_]
-Part = tuple[Indices, Vector]  # columns and values, both of shape (M, w)
-
-
-@dataclass(frozen=True)
-class PathDynamics:
-    """What a motion along a path q(x) asks of contacts, motors and joints, at N places x on it.
-
-    With b = xdot^2 and a = xddot, velocities are q' sqrt(b) and accelerations q' a + q'' b, the equations of motion
-    (Gönen 2021, 4.24) with contact forces f = o + G t are linear in a, b and t but for damping:
-
-        E t = e_0 + e_1 b + e_2 a                           in the rows without a motor (the pelvis)
-        tau = c_0 + c_1 b + c_2 a + d sqrt(b) - A t         in the rows with one
-
-    Attributes:
-        x: The places, increasing, shape (N,).
-        E: Shape (N, u, n).
-        e: e_0 (at rest: gravity and springs), e_1, e_2, shape (3, N, u).
-        A: Shape (N, j, n).
-        c: c_0, c_1, c_2, shape (3, N, j).
-        first: q' of the coordinates whose rates are limited, shape (N, l).
-        second: q'' of them, likewise.
-        speed: Their speed limits, shape (l,); infinite for none, as all limits below.
-        acceleration: Their acceleration limits, shape (l,).
-        jerk: Their jerk limits, shape (l,).
-        torque: Torque limits [N m], shape (N, j).
-        rows: Linear limits of contact forces, rows t <= most, shape (r, n).
-        most: Their right sides [N], shape (N, r).
-        cones: Round limits: tops - cones t is in the second-order cone, shape (s, 3, n).
-        tops: Their right sides [N], shape (N, s, 3).
-        names: What the rows and cones, then the torques, then the limited coordinates are called.
-        damping: d [N m s], shape (N, j); None for none.
-    """
-
-    x: Vector
-    E: Vector
-    e: Vector
-    A: Vector
-    c: Vector
-    first: Vector
-    second: Vector
-    speed: Vector
-    acceleration: Vector
-    jerk: Vector
-    torque: Vector
-    rows: Vector
-    most: Vector
-    cones: Vector
-    tops: Vector
-    names: tuple[Sequence[str], Sequence[str], Sequence[str]]
-    damping: Vector | None = None
-
-    @cached_property
-    def fastest(self) -> tuple[Vector, list[str]]:
-        """The greatest b at each place, shape (N,), and the limit that it comes from.
-
-        It is that of speed; at ends where q' and q'' vanish, that of jerk, which is q^(3) b^(3/2) there.
-        """
-        with np.errstate(divide="ignore", over="ignore"):
-            most = (self.speed / np.abs(self.first)) ** 2
-            ends = [(self.jerk / np.abs(self._bend[end])) ** (2 / 3) for end in (0, -1)]
-        names = [f"speed {self.names[2][j]}" for j in most.argmin(axis=1)]
-        most = most.min(axis=1)
-        for place, by_jerk in zip((0, -1), ends, strict=True):
-            if not self.first[place].any() and by_jerk.min() < most[place]:
-                most[place], names[place] = by_jerk.min(), f"jerk {self.names[2][int(by_jerk.argmin())]}"
-        return np.minimum(most, FASTEST), names
-
-    @property
-    def jerky(self) -> Mask:
-        """The coordinates whose jerk limits are likely to count, shape (l,): near to the first in a paced motion."""
-        use = np.abs(self._bend).max(axis=0, initial=0.0) / self.jerk
-        return np.asarray((use > LIKELY * use.max(initial=0.0)) & np.isfinite(self.jerk))
-
-    @property
-    def _bend(self) -> Vector:
-        """The mean third derivative of q from each place to the next, shape (N - 1, l)."""
-        result: Vector = np.diff(self.second, axis=0) / np.diff(self.x)[:, None]
-        return result
-
-    def paced(self) -> float:
-        """The greatest b, the same all along the path, that keeps to the limits of speed, acceleration and jerk."""
-        with np.errstate(divide="ignore", over="ignore"):
-            by_acceleration = (self.acceleration / np.abs(self.second)).min()
-            by_jerk = ((self.jerk / np.abs(self._bend)) ** (2 / 3)).min()
-        return float(max(SLOWEST, min(self.fastest[0].min(), by_acceleration, by_jerk)))
 
 
 @dataclass(frozen=True)
@@ -140,39 +47,6 @@ class TimeScaling:
         """The timing with b = 1 everywhere, with given forces."""
         one = np.ones(len(dynamics.x))
         return cls(np.ones(profile.size), profile.length, one, 0.0 * one, t, (frozenset(),) * len(one))
-
-
-@dataclass
-class _Rows:
-    """Rows of a sparse matrix and their right sides, collected block by block."""
-
-    count: int = 0
-    rows: list[Indices] = field(default_factory=list)
-    columns: list[Indices] = field(default_factory=list)
-    values: list[Vector] = field(default_factory=list)
-    places: list[Indices] = field(default_factory=list)
-    right: list[Vector] = field(default_factory=list)
-
-    def add(self, right: Vector, *parts: Part) -> slice:
-        """Adds M rows, the sum of the parts against `right` (M,); where they are."""
-        return self._add(self.count + np.arange(len(right)), right, parts)
-
-    def add_cones(self, *axes: tuple[Vector, tuple[Part, ...]]) -> slice:
-        """Adds M second-order cones, given as the rows of their first axes, of their second ones, and so on."""
-        start, width = self.count, len(axes)
-        for axis, (right, parts) in enumerate(axes):
-            self._add(start + axis + width * np.arange(len(right)), right, parts)
-        return slice(start, self.count)
-
-    def _add(self, places: Indices, right: Vector, parts: Sequence[Part]) -> slice:
-        for columns, values in parts:
-            self.rows.append(np.broadcast_to(places[:, None], values.shape).ravel())
-            self.columns.append(np.broadcast_to(columns, values.shape).ravel())
-            self.values.append(values.ravel())
-        self.places.append(places)
-        self.right.append(right)
-        begin, self.count = self.count, self.count + len(right)
-        return slice(begin, self.count)
 
 
 class TimeScalingProgram:
@@ -236,8 +110,10 @@ class TimeScalingProgram:
         self._t = self._r + steps + 1
         self.num_variables = self._t + self._N * self._n
         self.constraints: dict[str, slice] = {}
-        self._equal, self._below, self._round = _Rows(), _Rows(), _Rows()
-        self._solver: clarabel.DefaultSolver | None = None
+        self._cost = np.zeros(self.num_variables)
+        self._cost[self._T : self._r] = 1.0
+        self._program = SparseProgram(self._cost)
+        self._equal, self._below, self._round = Rows(), Rows(), Rows()
         # Of the limits that may be left out those that are not, by motor or by coordinate.
         motors, limited = dynamics.A.shape[1], dynamics.first.shape[1]
         self._told = {"torque": np.zeros(motors, bool), "acceleration": np.zeros(limited, bool), "jerk": dynamics.jerky}
@@ -302,9 +178,9 @@ class TimeScalingProgram:
             np.full(size, 0.0 if rest else -SLOWEST), (np.arange(size)[:, None], -np.ones((size, 1)))
         )
 
-    def _accelerations(self) -> _Rows:
+    def _accelerations(self) -> Rows:
         """(8)."""
-        dynamics, rows = self.dynamics, _Rows()
+        dynamics, rows = self.dynamics, Rows()
         sign, i, j = self._both(self._N, self._told["acceleration"])
         rows.add(dynamics.acceleration[j], self._of_speed(i, sign * dynamics.second[i, j], sign * dynamics.first[i, j]))
         return rows
@@ -326,9 +202,9 @@ class TimeScalingProgram:
             (2.0 * np.sqrt(2.0 * np.diff(nodes)), ()),
         )
 
-    def _torques(self, reference: Vector) -> _Rows:
+    def _torques(self, reference: Vector) -> Rows:
         """(4), its damping taken at the reference b' (N,)."""
-        dynamics, rows = self.dynamics, _Rows()
+        dynamics, rows = self.dynamics, Rows()
         sign, i, j = self._both(self._N, self._told["torque"])
         of_b, right = sign * dynamics.c[1][i, j], dynamics.torque[i, j] - sign * dynamics.c[0][i, j]
         if dynamics.damping is not None:  # sqrt(b) <= (sqrt(b') + b / sqrt(b')) / 2
@@ -341,9 +217,9 @@ class TimeScalingProgram:
         )
         return rows
 
-    def _jerks(self, reference: Vector) -> _Rows:
+    def _jerks(self, reference: Vector) -> Rows:
         """(9), its right side the tangent at the reference b' (N,)."""
-        dynamics, rows = self.dynamics, _Rows()
+        dynamics, rows = self.dynamics, Rows()
         sign, i, j = self._both(self._N - 1, self._told["jerk"])
         mean = 0.5 * (reference[i] + reference[i + 1])
         most = dynamics.jerk[j] * np.diff(dynamics.x)[i] / np.sqrt(mean)
@@ -395,7 +271,7 @@ class TimeScalingProgram:
             if not any(over.any() for over in broken.values()):
                 return solution
             self._told = {name: told | broken[name] for name, told in self._told.items()}
-            self._solver = None
+            self._program = SparseProgram(self._cost)
 
     def _broken(self, scaling: TimeScaling) -> dict[str, Mask]:
         """The motors or coordinates whose limits a timing breaks, by kind of limit."""
@@ -415,52 +291,9 @@ class TimeScalingProgram:
 
     def _solved(self, reference: Vector) -> TimeScaling | None:
         """The solution with the limits that are told."""
-        parts = [
-            self._equal,
-            self._below,
-            self._accelerations(),
-            self._torques(reference),
-            self._jerks(reference),
-            self._round,
-        ]
-        offsets = np.cumsum([0, *(part.count for part in parts)])
-        values = np.concatenate([value for part in parts for value in part.values])
-        right = np.empty(offsets[-1])
-        for part, at in zip(parts, offsets, strict=False):
-            if part.count:
-                right[at + np.concatenate(part.places)] = np.concatenate(part.right)
-        if self._solver is None:
-            rows = np.concatenate([row + at for part, at in zip(parts, offsets, strict=False) for row in part.rows])
-            columns = np.concatenate([column for part in parts for column in part.columns])
-            # Column by column, as the matrix is stored; b at two places may share a coefficient, whose parts add up.
-            keys, self._entry = np.unique(columns * offsets[-1] + rows, return_inverse=True)
-            columns, rows = np.divmod(keys, offsets[-1])
-            starts = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self.num_variables))])
-            data = np.bincount(self._entry, values)
-            matrix = sparse.csc_matrix((data, rows, starts), shape=(int(offsets[-1]), self.num_variables))
-            self._solver = self._clarabel(matrix, right, int(offsets[-2] - offsets[1]))
-        else:  # what is known of the matrix's pattern stays known
-            self._solver.update(A=np.bincount(self._entry, values), b=right)
-        solution = self._solver.solve()
-        if solution.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
-            return None
-        prices = np.array(solution.z) * np.maximum(np.abs(right), 1.0)
-        return self._result(np.array(solution.x), np.split(prices, offsets[1:-1])[1:])
-
-    def _clarabel(self, matrix: sparse.csc_matrix, right: Vector, below: int) -> clarabel.DefaultSolver:
-        """Clarabel with the program, of which `below` rows are inequalities."""
-        cones = [clarabel.ZeroConeT(self._equal.count), clarabel.NonnegativeConeT(below)]
-        cones += [clarabel.SecondOrderConeT(3)] * (self._round.count // 3)
-        cost = np.zeros(self.num_variables)
-        cost[self._T : self._r] = 1.0
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.max_threads = 1
-        settings.presolve_enable = False
-        settings.tol_gap_abs = settings.tol_gap_rel = GAP
-        settings.tol_feas = FEASIBILITY
-        quadratic = sparse.csc_matrix((self.num_variables, self.num_variables))
-        return clarabel.DefaultSolver(quadratic, cost, matrix, right, cones, settings)
+        below = [self._below, self._accelerations(), self._torques(reference), self._jerks(reference)]
+        found = self._program.solve(self._equal, below, self._round)
+        return None if found is None else self._result(*found)
 
     def _result(self, x: Vector, prices: list[Vector]) -> TimeScaling:
         """The timing that is the solution x; prices are those of the rows that are not equations."""
