@@ -9,7 +9,7 @@ as possible to ones well inside the cones, torques from the plant's inverse dyna
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
@@ -27,10 +27,12 @@ from climber.robot import Model, Robot
 from climber.scenario import scenario_from_text
 from climber.stance import Contact, Vector
 from climber.timing import Samples
+from climber.verify import verify
 
 QUADRUPED = "package://climber/quadruped/quadruped.urdf"
 LIMBS = ("right_front", "left_front", "left_rear", "right_rear")
 RATE = 100.0  # [Hz]
+PHASE = "robots/0/phases"  # where a plan file has them
 KNEES_OUT = (-0.4, 1.2, 0.4, -1.2, -0.4, 1.2, 0.4, -1.2)
 
 
@@ -384,3 +386,23 @@ def entry(data: Any, path: str) -> tuple[Any, Any]:
     for key in way:
         data = data[int(key) if isinstance(data, list) else key]
     return data, int(last) if isinstance(data, list) else last
+
+
+def failing(text: str) -> set[str]:
+    """Names of the checks that a plan file fails."""
+    return {check.name for check in verify(Plan.from_json(text)).failures}
+
+
+def plus(amount: float) -> Callable[[float], float]:
+    """A change of a number."""
+    return lambda value: value + amount
+
+
+def told(old: str, new: str) -> Callable[[str], str]:
+    """A change of the scenario's text."""
+
+    def change(text: str) -> str:
+        assert text.count(old) == 1
+        return text.replace(old, new)
+
+    return change

@@ -16,16 +16,20 @@ from hypothesis import strategies as st
 from plans import (
     AT_THE_EDGE,
     LIMBS,
+    PHASE,
     QUADRUPED,
     REMOVED,
     Ground,
     edge_plan,
     edited,
+    failing,
     length,
+    plus,
     retold,
     step_plan,
     still_plan,
     straight_plan,
+    told,
     with_margins,
 )
 
@@ -44,27 +48,6 @@ from climber.verdict import Ledger
 from climber.verify import verify
 from climber.verify_rules import RULES
 from climber.verify_team import TeamChecks
-
-PHASE = "robots/0/phases"
-
-
-def failing(text: str) -> set[str]:
-    """Names of the checks that a plan file fails."""
-    return {check.name for check in verify(Plan.from_json(text)).failures}
-
-
-def plus(amount: float) -> Callable[[float], float]:
-    return lambda value: value + amount
-
-
-def told(old: str, new: str) -> Callable[[str], str]:
-    """A change of the scenario's text."""
-
-    def change(text: str) -> str:
-        assert text.count(old) == 1
-        return text.replace(old, new)
-
-    return change
 
 
 def with_posture() -> Plan:

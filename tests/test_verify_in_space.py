@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plans import LIMBS, QUADRUPED, edited, retold, step_plan, with_margins
+from plans import LIMBS, PHASE, QUADRUPED, edited, failing, plus, retold, step_plan, told, with_margins
 from plans_space import LEMUR, climb_plan
 
 from climber.exceptions import ModelError, PlanFileError
-from climber.plan_file import Plan
 from climber.plan_parts import RobotPlan
 from climber.resources import resolve_model
 from climber.robot import Model, Robot
@@ -22,27 +20,6 @@ from climber.verdict import Ledger
 from climber.verify import verify
 from climber.verify_rules import RULES
 from climber.verify_team import TeamChecks
-
-PHASE = "robots/0/phases"
-
-
-def failing(text: str) -> set[str]:
-    """Names of the checks that a plan file fails."""
-    return {check.name for check in verify(Plan.from_json(text)).failures}
-
-
-def plus(amount: float) -> Callable[[float], float]:
-    return lambda value: value + amount
-
-
-def told(old: str, new: str) -> Callable[[str], str]:
-    """A change of the scenario's text."""
-
-    def change(text: str) -> str:
-        assert text.count(old) == 1
-        return text.replace(old, new)
-
-    return change
 
 
 def test_a_climb_in_space_holds() -> None:
