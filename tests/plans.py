@@ -1,9 +1,7 @@
 """Small plans made from first principles, without the planner, for whatever reads plans.
 
 `step_plan`: the quadruped stands on four holds, shifts, swings its right front limb to a fifth, and shifts on.
-`still_plan`: it stands still. Pelvis and feet run along straight lines by the minimum-jerk law; joints follow by
-Newton's method on the plant's Jacobians, velocities and accelerations from the contacts' constraints, forces as near
-as possible to ones well inside the cones, torques from the plant's inverse dynamics.
+`still_plan`: it stands still. How it moves is in `movers`.
 """
 
 from __future__ import annotations
@@ -18,11 +16,11 @@ from typing import Any
 
 import cvxpy
 import numpy as np
-from pydrake.multibody.tree import JacobianWrtVariable, MultibodyForces
+from movers import LIMBS, Climber, Line, step_phases
 
 from climber.margins import phase_margins
 from climber.plan_file import Plan
-from climber.plan_parts import Achieved, Cut, Phase, PhaseContact, RobotPlan
+from climber.plan_parts import Achieved, Cut, Phase, RobotPlan
 from climber.robot import Model, Robot
 from climber.scenario import scenario_from_text
 from climber.stance import Contact, Vector
@@ -30,8 +28,6 @@ from climber.timing import Samples
 from climber.verify import verify
 
 QUADRUPED = "package://climber/quadruped/quadruped.urdf"
-LIMBS = ("right_front", "left_front", "left_rear", "right_rear")
-RATE = 100.0  # [Hz]
 PHASE = "robots/0/phases"  # where a plan file has them
 KNEES_OUT = (-0.4, 1.2, 0.4, -1.2, -0.4, 1.2, 0.4, -1.2)
 
@@ -61,6 +57,14 @@ class Ground:
         turn = np.array([[np.cos(half), -np.sin(half)], [np.sin(half), np.cos(half)]])
         normals = self.normals / np.linalg.norm(self.normals, axis=1, keepdims=True)
         return np.stack([normals @ turn.T, normals @ turn], axis=2)
+
+    def room(self, forces: Sequence[cvxpy.Variable], holds: Sequence[int], room: cvxpy.Variable) -> list[object]:
+        """Constraints: forces along the edges are between the least and the greatest one, with `room` [N] to both."""
+        inside: list[object] = []
+        for f, edges in zip(forces, self.edges[list(holds)], strict=True):
+            t = np.linalg.inv(edges) @ f
+            inside += [t >= self.min_force + room, t <= self.max_force - room]
+        return inside
 
     def scenario(self, name: str, robot: str) -> str:
         """The text of a scenario on this wall, with what it says of its robot."""
@@ -103,185 +107,54 @@ STILL_ROBOT = """\
 """
 
 
-@dataclass(frozen=True)
-class Line:
-    """A straight line run from rest to rest by the minimum-jerk law."""
-
-    start: Vector
-    end: Vector
-
-    def at(self, tau: float, duration: float) -> tuple[Vector, Vector, Vector]:
-        """Place, velocity and acceleration at the fraction `tau` of `duration` [s]."""
-        way = self.end - self.start
-        return (
-            self.start + way * tau**3 * (10 - 15 * tau + 6 * tau**2),
-            way * 30 * tau**2 * (1 - tau) ** 2 / duration,
-            way * 60 * tau * (1 - tau) * (1 - 2 * tau) / duration**2,
-        )
-
-
-class Climber:
-    """The quadruped, posed and moved by its pelvis and feet."""
-
-    def __init__(self, robot: Robot, joints: Sequence[float] = KNEES_OUT) -> None:
-        self.robot = robot
-        self.context = robot.context()
-        self.joints = robot.joint_v  # positions and velocities of this robot have the same places
-        self.q = np.zeros(robot.plant.num_positions())
-        self.q[self.joints] = joints
-
-    def _jacobian(self) -> Vector:
-        """Of the feet in the plane, limb by limb, shape (2 num_limbs, nv)."""
-        plant, world = self.robot.plant, self.robot.plant.world_frame()
-        frames = [plant.GetFrameByName(limb.foot) for limb in self.robot.limbs]
-        wrt = JacobianWrtVariable.kV
-        return np.vstack(
-            [
-                plant.CalcJacobianTranslationalVelocity(self.context, wrt, frame, np.zeros(3), world, world)[:2]
-                for frame in frames
-            ]
-        )
-
-    def pose(self, pelvis: Vector, feet: Vector) -> Vector:
-        """Positions with the pelvis at (x, y, angle) and the feet at `feet`, shape (num_limbs, 2)."""
-        plant = self.robot.plant
-        self.q[self.robot.base_q] = pelvis
-        for _ in range(50):
-            plant.SetPositions(self.context, self.q)
-            miss = (self.robot.foot_positions(self.context)[:, :2] - feet).ravel()
-            if np.abs(miss).max() < 1e-13:
-                break
-            self.q[self.joints] -= np.linalg.solve(self._jacobian()[:, self.joints], miss)
-        assert np.abs(miss).max() < 1e-12
-        return self.q.copy()
-
-    def rates(self, pelvis: tuple[Vector, Vector], feet: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
-        """Velocities and accelerations for those of the pelvis (3,) and the feet (num_limbs, 2), at the last pose."""
-        plant, world = self.robot.plant, self.robot.plant.world_frame()
-        J, base = self._jacobian(), self.robot.base_v
-        v, vd = np.zeros(plant.num_velocities()), np.zeros(plant.num_velocities())
-        v[base], vd[base] = pelvis
-        v[self.joints] = np.linalg.solve(J[:, self.joints], feet[0].ravel() - J[:, base] @ v[base])
-        plant.SetVelocities(self.context, v)
-        bias = np.concatenate(
-            [
-                plant.CalcBiasTranslationalAcceleration(
-                    self.context, JacobianWrtVariable.kV, plant.GetFrameByName(limb.foot), np.zeros(3), world, world
-                ).ravel()[:2]
-                for limb in self.robot.limbs
-            ]
-        )
-        vd[self.joints] = np.linalg.solve(J[:, self.joints], feet[1].ravel() - bias - J[:, base] @ vd[base])
-        return v, vd
-
-    def forces(self, vd: Vector, limbs: list[int], wish: Vector) -> tuple[Vector, Vector]:
-        """Contact forces of `limbs` nearest to `wish` (len(limbs), 2) that carry the motion, and the torques."""
-        plant = self.robot.plant
-        applied = MultibodyForces(plant)
-        plant.CalcForceElementsContribution(self.context, applied)
-        needed = plant.CalcInverseDynamics(self.context, vd, applied)
-        rows = [2 * limb + axis for limb in limbs for axis in (0, 1)]
-        J = self._jacobian()[rows]
-        carry = J[:, self.robot.base_v].T
-        f = wish.ravel() + np.linalg.pinv(carry) @ (needed[self.robot.base_v] - carry @ wish.ravel())
-        return f.reshape(-1, 2), (needed - J.T @ f)[self.joints]
-
-    def centered(self, limbs: list[int], ground: Ground, holds: list[int]) -> Vector:
-        """Static contact forces as far inside their limits as can be, shape (len(limbs), 2).
-
-        Args:
-            limbs: The limbs that hold.
-            ground: The holds.
-            holds: The hold that each of them is on.
-        """
-        plant = self.robot.plant
-        plant.SetVelocities(self.context, np.zeros(plant.num_velocities()))
-        gravity = plant.CalcGravityGeneralizedForces(self.context)[self.robot.base_v]
-        rows = [2 * limb + axis for limb in limbs for axis in (0, 1)]
-        carry = self._jacobian()[rows][:, self.robot.base_v].T
-        edges = np.zeros((2 * len(limbs), 2 * len(limbs)))
-        for i, cone in enumerate(ground.edges[holds]):
-            edges[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = cone
-        t, room = cvxpy.Variable(2 * len(limbs)), cvxpy.Variable()
-        inside = [carry @ edges @ t == -gravity, t >= ground.min_force + room, t <= ground.max_force - room]
-        problem = cvxpy.Problem(cvxpy.Maximize(room), inside)
-        problem.solve(solver=cvxpy.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
-        assert room.value > 0.0
-        return np.asarray(edges @ t.value).reshape(-1, 2)
-
-    def phase(
-        self,
-        ground: Ground,
-        stance: int,
-        holds: dict[int, int],
-        pelvis: Line,
-        feet: Line,
-        begin: float,
-        duration: float,
-    ) -> Phase:
-        """The phase in which pelvis and feet run along lines.
-
-        Args:
-            ground: The holds.
-            stance: The stance it starts in.
-            holds: The hold of each limb that holds; one that is left out swings.
-            pelvis: Where the pelvis goes.
-            feet: Where the feet go [m], shape (num_limbs, 2).
-            begin: When it begins [s].
-            duration: How long it takes [s].
-        """
-        limbs = sorted(holds)
-        count = int(np.ceil(duration * RATE)) + 1
-        self.pose(pelvis.at(0.5, duration)[0], feet.at(0.5, duration)[0])
-        wish = self.centered(limbs, ground, [holds[limb] for limb in limbs])
-        rows = []
-        for tau in np.linspace(0.0, 1.0, count):
-            (x, xd, xdd), (p, pd, pdd) = pelvis.at(tau, duration), feet.at(tau, duration)
-            q = self.pose(x, p)
-            v, vd = self.rates((xd, xdd), (pd, pdd))
-            rows.append((q, v, vd, *self.forces(vd, limbs, wish)))
-        q, v, vd, force, torque = (np.array(column) for column in zip(*rows, strict=True))
-        flat = np.concatenate([force, np.zeros((count, len(limbs), 1))], axis=2)
-        swinging = next((LIMBS[limb] for limb in range(4) if limb not in holds), None)
-        return Phase(
-            kind="swing" if swinging else "shift",
-            limb=swinging,
-            stance=stance,
-            contacts=tuple(PhaseContact(LIMBS[i], holds[i], np.array([*feet.start[i], 0.0])) for i in limbs),
-            time=begin + np.linspace(0.0, duration, count),
-            q=q,
-            v=v,
-            vd=vd,
-            torque=torque,
-            force={LIMBS[limb]: flat[:, place] for place, limb in enumerate(limbs)},
-        )
-
-
 def length(phases: Sequence[Phase]) -> float:
     """Of the polylines through the samples, over all positions."""
     return sum(float(np.linalg.norm(b - a)) for phase in phases for a, b in pairwise(phase.q))
 
 
-def _plan(text: str, robot: Robot, stances: Sequence[Sequence[int]], phases: Sequence[Phase]) -> Plan:
-    named = tuple(dict(zip(LIMBS, stance, strict=True)) for stance in stances)
+def written(
+    text: str, model: str, robot: Robot, stances: Sequence[Sequence[int]], phases: Sequence[Phase], **more: Any
+) -> Plan:
+    """The plan of one robot, with its margins.
+
+    Args:
+        text: The scenario's.
+        model: Where the robot's model is.
+        robot: The robot, called what its model is.
+        stances: The hold of each limb, stance by stance.
+        phases: How it moves.
+        more: Further fields of its `RobotPlan`.
+    """
     robot_plan = RobotPlan(
-        name="quadruped",
-        model=QUADRUPED,
+        name=robot.name,
+        model=model,
         limbs=LIMBS,
         positions=robot.position_names,
         velocities=robot.velocity_names,
         joints=robot.joint_names,
         moves=len(stances) - 1,
         cost=60,
-        stances=named,
+        stances=tuple(dict(zip(LIMBS, stance, strict=True)) for stance in stances),
         phases=tuple(phases),
-        cuts=(Cut(named[0], LIMBS[1], 5, "out of reach", "proved", "transition"),),
+        **more,
+    )
+    return with_margins(Plan("scenarios/small.yaml", text, 7, (robot_plan,), {"climber": "0.1.0"}, {"total": 1.5}))
+
+
+def _plan(text: str, robot: Robot, stances: Sequence[Sequence[int]], phases: Sequence[Phase]) -> Plan:
+    """Of the quadruped, with a cut and a record of how the plan became better."""
+    return written(
+        text,
+        QUADRUPED,
+        robot,
+        stances,
+        phases,
+        cuts=(Cut(dict(zip(LIMBS, stances[0], strict=True)), LIMBS[1], 5, "out of reach", "proved", "transition"),),
         counts={"stances": 2, "moves": 1},
         proofs={"moves": True, "cost": True, "relative_to": "the stance graph less the cuts listed"},
         objective=Achieved("length", length(phases)),
         record=((0.5, length(phases) + 1.0), (1.25, length(phases))),
     )
-    return with_margins(Plan("scenarios/small.yaml", text, 7, (robot_plan,), {"climber": "0.1.0"}, {"total": 1.5}))
 
 
 def with_margins(plan: Plan) -> Plan:
@@ -305,12 +178,7 @@ def with_margins(plan: Plan) -> Plan:
 def step_plan(duration: float = 0.8) -> Plan:
     """A shift, a swing of the right front limb and a shift, each of `duration` [s]."""
     robot = Robot(Model.load(QUADRUPED))
-    climber = Climber(robot)
-    before, after = STEP.positions[[0, 1, 2, 3]], STEP.positions[[4, 1, 2, 3]]
-    pelvis = [Line(np.array(a), np.array(b)) for a, b in pairwise(STEP_PELVIS)]
-    feet = [Line(before, before), Line(before, after), Line(after, after)]
-    holds = [{0: 0, 1: 1, 2: 2, 3: 3}, {1: 1, 2: 2, 3: 3}, {0: 4, 1: 1, 2: 2, 3: 3}]
-    phases = [climber.phase(STEP, i // 2, holds[i], pelvis[i], feet[i], i * duration, duration) for i in range(3)]
+    phases = step_phases(Climber(robot, KNEES_OUT), STEP, STEP_PELVIS, duration)
     return _plan(STEP.scenario("a step", STEP_ROBOT), robot, [(0, 1, 2, 3), (4, 1, 2, 3)], phases)
 
 
