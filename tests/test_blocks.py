@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from climber.programs.blocks import solve_blocks
+from climber.programs.blocks import solve_blocks, solve_each
 from climber.stance import Vector
 
 Problem = tuple[Vector, Vector, Vector, Vector, Vector, Vector]
@@ -25,8 +25,9 @@ def random_problem(rng: np.random.Generator, K: int) -> Problem:
 @settings(max_examples=15, deadline=None)
 def test_the_blocks_are_solved_as_if_each_were_alone(seed: int, linear: bool) -> None:
     P, q, E, b, G, g = random_problem(np.random.default_rng(seed), 5)
-    together = solve_blocks(None if linear else P, q, E, b, G, g)
-    assert together is not None
+    found = solve_blocks(None if linear else P, q, E, b, G, g)
+    assert found is not None
+    together = found.x
     for k in range(5):
         x = cp.Variable(4)
         cost = q[k] @ x + (0 if linear else 0.5 * cp.quad_form(x, cp.psd_wrap(P[k])))
@@ -49,4 +50,16 @@ def test_no_blocks_have_an_empty_solution() -> None:
     P, q, E, b, G, g = random_problem(np.random.default_rng(1), 1)
     answer = solve_blocks(P[:0], q[:0], E[:0], b[:0], G[:0], g[:0])
     assert answer is not None
-    assert answer.shape == (0, 4)
+    assert answer.x.shape == (0, 4)
+
+
+@pytest.mark.parametrize("together", [None, 2])
+def test_a_block_without_a_solution_spoils_no_other(together: int | None) -> None:
+    _, q, E, b, G, g = random_problem(np.random.default_rng(1), 7)
+    whole = solve_each(q, E, b, G, g, together=together)
+    g[4, 3], g[4, 7] = -1.0, -1.0  # x_3 at most -1 and at least 1
+    found = solve_each(q, E, b, G, g, together=together)
+    for part, before in zip(found, whole, strict=True):
+        assert np.isnan(part[4]).all()
+        np.testing.assert_allclose(np.delete(part, 4, axis=0), np.delete(before, 4, axis=0), atol=1e-6)
+    assert np.abs(q + np.einsum("kun,ku->kn", E, whole.y) + np.einsum("krn,kr->kn", G, whole.z)).max() < 1e-6

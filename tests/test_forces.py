@@ -94,10 +94,11 @@ def test_the_greatest_multiple_in_a_direction_is_that_of_a_program(section: Sect
     forces = wall_forces(wall, 3, section)
     limits, c = forces.limits(), rng.normal(size=(4, 3))
     none = np.zeros((1, 0, 12))
-    t = solve_blocks(
+    found = solve_blocks(
         None, -c.reshape(1, 12), none, none[:, :, 0], limits.R[None], limits.g[None], limits.C[None], limits.d[None]
     )
-    assert t is not None
+    assert found is not None
+    t = found.x
     np.testing.assert_allclose((c * t.reshape(4, 3)).sum(axis=1), forces.greatest(c), atol=1e-6)
     assert forces.excess(t.reshape(4, 3)).max() < 1e-7
 

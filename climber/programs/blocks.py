@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import clarabel
 import numpy as np
 from scipy import sparse
@@ -13,6 +15,20 @@ GAP = 1e-11  # accuracy asked of the optimal cost; that of x goes with its squar
 REDUCED = 1e-7  # accuracy that is still a solution if Clarabel gets no further
 
 
+class BlockSolutions(NamedTuple):
+    """Solutions of K programs, with P x + q + E^T y + G^T z + ... = 0.
+
+    Attributes:
+        x: Shape (K, n).
+        y: The multipliers of E x = b, shape (K, u).
+        z: Those of G x <= g, at least zero, shape (K, r).
+    """
+
+    x: Vector
+    y: Vector
+    z: Vector
+
+
 def solve_blocks(
     P: Vector | None,
     q: Vector,
@@ -22,7 +38,7 @@ def solve_blocks(
     g: Vector,
     C: Vector | None = None,
     d: Vector | None = None,
-) -> Vector | None:
+) -> BlockSolutions | None:
     """Solves K programs at once as one block-diagonal program.
 
         min  x^T P x / 2 + q^T x   subject to  E x = b,  G x <= g,  d_i - C_i x in a second-order cone for i = 1..c
@@ -42,30 +58,12 @@ def solve_blocks(
         d: Shape (K, c, m).
 
     Returns:
-        The solutions, shape (K, n), or None if Clarabel found none, be it infeasible or difficult.
-    """
-    found = solve_blocks_and_multipliers(P, q, E, b, G, g, C, d)
-    return None if found is None else found[0]
-
-
-def solve_blocks_and_multipliers(
-    P: Vector | None,
-    q: Vector,
-    E: Vector,
-    b: Vector,
-    G: Vector,
-    g: Vector,
-    C: Vector | None = None,
-    d: Vector | None = None,
-) -> tuple[Vector, Vector, Vector] | None:
-    """`solve_blocks`, and the multipliers y of E x = b, shape (K, u), and z >= 0 of G x <= g, shape (K, r).
-
-    They satisfy P x + q + E^T y + G^T z + ... = 0.
+        The solutions, or None if Clarabel found none, be it infeasible or difficult.
     """
     K, n = q.shape
     u, r = E.shape[1], G.shape[1]
     if K == 0:
-        return np.zeros((0, n)), np.zeros((0, u)), np.zeros((0, r))
+        return BlockSolutions(np.zeros((0, n)), np.zeros((0, u)), np.zeros((0, r)))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
@@ -91,7 +89,62 @@ def solve_blocks_and_multipliers(
         return None
     multipliers = np.array(solution.z)
     y, z = multipliers[: K * u].reshape(K, u), multipliers[K * u : K * (u + r)].reshape(K, r)
-    return np.array(solution.x).reshape(K, n), y, z
+    return BlockSolutions(np.array(solution.x).reshape(K, n), y, z)
+
+
+def solve_each(
+    q: Vector,
+    E: Vector,
+    b: Vector,
+    G: Vector,
+    g: Vector,
+    C: Vector | None = None,
+    d: Vector | None = None,
+    *,
+    together: int | None = None,
+    nudge: float = 0.0,
+) -> BlockSolutions:
+    """`solve_blocks` of linear costs, in halves where Clarabel gets no further with all at once.
+
+    One program without a solution spoils the rest, and with cones Clarabel can stop short of a solution of dozens of
+    programs each of which it solves.
+
+    Args:
+        q: Shape (K, n), as all that follow with shapes as in `solve_blocks`.
+        E: The equations.
+        b: Their right sides.
+        G: The inequalities.
+        g: Their right sides.
+        C: The cones; None for none.
+        d: Their right sides.
+        together: How many programs go into one call of the solver; None for all.
+        nudge: By how much at the most the inequalities of a program that is not solved alone may give way: a hair's
+            breadth of difference can be enough for the solver to get on.
+
+    Returns:
+        The solutions, NaN for programs that are not solved alone.
+    """
+    K, r = g.shape
+    x, y, z = np.full(q.shape, np.nan), np.full(b.shape, np.nan), np.full(g.shape, np.nan)
+
+    def solve(first: int, last: int) -> None:
+        rows = slice(first, last)
+        cones = (None, None) if C is None or d is None else (C[rows], d[rows])
+        found = solve_blocks(None, q[rows], E[rows], b[rows], G[rows], g[rows], *cones)
+        if found is None and last - first == 1 and nudge:
+            more = nudge * np.arange(1, r + 1) / r
+            found = solve_blocks(None, q[rows], E[rows], b[rows], G[rows], g[rows] + more, *cones)
+        if found is not None:
+            x[rows], y[rows], z[rows] = found
+        elif last - first > 1:
+            middle = (first + last) // 2
+            solve(first, middle)
+            solve(middle, last)
+
+    step = together or max(K, 1)
+    for first in range(0, K, step):
+        solve(first, min(first + step, K))
+    return BlockSolutions(x, y, z)
 
 
 def _stack(blocks: Vector, rows: Vector, num_rows: int) -> sparse.csc_matrix:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from climber.programs.blocks import solve_blocks_and_multipliers
+from climber.programs.blocks import solve_each
 from climber.programs.double_cones import ConePrograms, ConeSolutions
 from climber.stance import Vector
 
@@ -26,10 +26,8 @@ def maximise_by_clarabel(programs: ConePrograms, start: Vector) -> ConeSolutions
         start: Points strictly inside the cones or pyramids with E x = b, shape (3, m, B).
     """
     u, B = programs.b.shape
-    x, y = start.copy(), np.zeros((u, B))
-    for first in range(0, B, TOGETHER):
-        rows = slice(first, first + TOGETHER)
-        x[..., rows], y[:, rows] = _solved(programs[rows], start[..., rows])
+    x, y = _solved(programs)
+    x, y = np.where(np.isnan(x), start, x), np.nan_to_num(y)  # where the solver gives up
     gap = programs.b - (programs.E * x).sum(axis=(1, 2))
     E = programs.E.reshape(u, -1, B).transpose(2, 0, 1)
     x += np.einsum("bnu,ub->nb", np.linalg.pinv(E, rcond=1e-9), gap).reshape(x.shape)
@@ -39,8 +37,8 @@ def maximise_by_clarabel(programs: ConePrograms, start: Vector) -> ConeSolutions
     return ConeSolutions(x, y, (programs.a * x).sum(axis=(0, 1)), programs.bound(y))
 
 
-def _solved(programs: ConePrograms, start: Vector) -> tuple[Vector, Vector]:
-    """X (3, m, B) and y (u, B); where the solver gives up, the start and zero."""
+def _solved(programs: ConePrograms) -> tuple[Vector, Vector]:
+    """X (3, m, B) and y (u, B); NaN where the solver gives up."""
     u, _, m, B = programs.E.shape
     n, sides = 3 * m, programs.section.sides
     R, C = np.zeros((2, len(sides), m, 3, m)), np.zeros((2, m, 3, 3, m))
@@ -51,8 +49,7 @@ def _solved(programs: ConePrograms, start: Vector) -> tuple[Vector, Vector]:
         C[0, i, 0, 2, i], C[1, i, 0, 2, i] = -1.0, 1.0
     rows, cones = R.reshape(-1, n), C.reshape(-1, 3, n) if not len(sides) else np.zeros((0, 3, n))
     tops = np.broadcast_to([1.0, 0.0, 0.0], (B, len(cones), 3))
-    found = solve_blocks_and_multipliers(
-        None,
+    x, y, _ = solve_each(
         -programs.a.reshape(n, B).T,
         programs.E.reshape(u, n, B).transpose(2, 0, 1),
         programs.b.T,
@@ -60,13 +57,9 @@ def _solved(programs: ConePrograms, start: Vector) -> tuple[Vector, Vector]:
         np.ones((B, len(rows))),
         np.broadcast_to(cones, (B, *cones.shape)),
         tops,
+        together=TOGETHER,
     )
-    if found is not None:
-        return found[0].T.reshape(3, m, B), found[1].T
-    if B == 1:
-        return start, np.zeros((u, 1))
-    each = [_solved(programs[[i]], start[..., [i]]) for i in range(B)]
-    return np.concatenate([x for x, _ in each], axis=2), np.concatenate([y for _, y in each], axis=1)
+    return x.T.reshape(3, m, B), y.T
 
 
 def _size(programs: ConePrograms, x: Vector) -> Vector:

@@ -19,9 +19,10 @@ from typing import Protocol
 
 import numpy as np
 
+from climber.programs.blocks import solve_each
 from climber.programs.grips import Grips
 from climber.programs.margins import GAP, Worst
-from climber.programs.survival import LEVEL, Instants, solve_each
+from climber.programs.survival import LEVEL, NUDGE, Instants
 from climber.stance import Vector
 
 SETTLED = 1e-3  # an error that grows by a smaller share in one step has arrived
@@ -221,7 +222,8 @@ class ErrorMargin:
         rows = np.concatenate([np.concatenate([rows, rates], axis=2), most], axis=1)
         right = np.concatenate([right, np.full((len(wanted), 1), 1e3)], axis=1)
         cost = -most[:, 0]
-        found = solve_each(cost, np.pad(at.E, ((0, 0), (0, 0), (0, 1))), at.balanceable, rows, right)
+        E = np.pad(at.E, ((0, 0), (0, 0), (0, 1)))
+        found = solve_each(cost, E, at.balanceable, rows, right, nudge=NUDGE).x
         for (p, k, w), x in zip(wanted, found[:, :n], strict=True):
             before, leap = self.survived[k, w], (k, w) not in self._x and target[p] > 0.0
             if np.isfinite(x).all():

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from climber.programs.blocks import solve_each
 from climber.programs.rays import Rays
-from climber.programs.survival import Instants, solve_each_and_multipliers
+from climber.programs.survival import NUDGE, Instants
 from climber.robot import Indices
 from climber.stance import Vector
 
@@ -130,7 +131,8 @@ class DisturbanceMargin:
         cost[:, n], most[:, 0, n] = -1.0, 1.0
         rows = np.concatenate([np.concatenate([at.G, -C[:, :, None]], axis=2), most], axis=1)
         right = np.concatenate([at.g, np.full((len(k), 1), self.cap)], axis=1)
-        found, y, z = solve_each_and_multipliers(cost, np.concatenate([at.E, -B[:, :, None]], axis=2), b, rows, right)
+        E = np.concatenate([at.E, -B[:, :, None]], axis=2)
+        found, y, z = solve_each(cost, E, b, rows, right, nudge=NUDGE)
         starts = self.instants.starts
         for i in np.flatnonzero(np.isfinite(found[:, n]) & (found[:, n] > 0.0)):
             p = self.instants.phase[k[i]]

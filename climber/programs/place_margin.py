@@ -27,9 +27,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from climber.programs.blocks import solve_each
 from climber.programs.margins import GAP, Worst
 from climber.programs.rays import rays
-from climber.programs.survival import Instants, Mask, solve_each
+from climber.programs.survival import NUDGE, Instants, Mask
 from climber.robot import Indices
 from climber.stance import Vector
 
@@ -147,7 +148,7 @@ class PlaceMargin:
         G[:, -1, -2] = -1.0
         cost = np.zeros((N, size))
         cost[:, -1] = -1.0
-        found = solve_each(cost, E, b, G, g)
+        found = solve_each(cost, E, b, G, g, nudge=NUDGE).x
         toward = np.zeros((N, dimension))
         for i in np.flatnonzero(np.isfinite(found).all(axis=1)).tolist():
             s, rho = found[i, -2:].tolist()

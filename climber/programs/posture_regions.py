@@ -15,7 +15,7 @@ import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
 from climber.dynamics import evaluate_at_rest, turning
-from climber.programs.blocks import solve_blocks_and_multipliers
+from climber.programs.blocks import solve_each
 from climber.programs.forces import wall_forces, weight_in_plane
 from climber.programs.instants import Instants, Margin
 from climber.programs.outlines import outline
@@ -163,7 +163,7 @@ def _roomiest(shifted: _Shifted) -> tuple[Vector, Vector]:
     cost, least = np.zeros((len(rows), n + 1)), np.zeros((len(rows), 1, n + 1))
     cost[:, n], least[:, 0, n] = 1.0, -1.0
     G, g = np.concatenate([G, least], axis=1), np.concatenate([g, np.full((len(rows), 1), MOST_ROOM)], axis=1)
-    v = shifted.balanced(rows, _solved(cost, np.pad(E, extra), b, G, g, C, d)[0][:, :n])
+    v = shifted.balanced(rows, solve_each(cost, np.pad(E, extra), b, G, g, C, d, together=TOGETHER).x[:, :n])
     off = np.abs(np.einsum("kun,kn->ku", E, v) - b).max(axis=1, initial=0.0)
     lack = np.where(off <= HELD, shifted.violation(rows, v), off)
     return v, np.where(np.isnan(lack), np.inf, lack)  # no forces of any size balance those
@@ -174,7 +174,7 @@ def _farthest(shifted: _Shifted, rows: Indices, direction: Vector, inside: Vecto
     E, b, G, g, C, d = shifted.program(rows)
     n = shifted.instants.E.shape[2]
     cost = np.pad(-direction, ((0, 0), (n, 0)))
-    v, y, z = _solved(cost, E, b, G, g, C, d)
+    v, y, z = solve_each(cost, E, b, G, g, C, d, together=TOGETHER)
     lost = np.isnan(v[:, 0])
     v, y, z = np.where(lost[:, None], inside, v), np.nan_to_num(y), np.nan_to_num(z)
     v = shifted.balanced(rows, v)
@@ -183,21 +183,3 @@ def _farthest(shifted: _Shifted, rows: Indices, direction: Vector, inside: Vecto
     share = np.where(least < 0.0, np.clip(outside / np.maximum(outside - least, 1e-300), 0.0, 1.0), 0.0)
     v = v + share[:, None] * (inside - v)
     return v[:, n:], shifted.bound(rows, direction, y, z)
-
-
-def _solved(*program: Vector) -> tuple[Vector, Vector, Vector]:
-    """`solve_blocks_and_multipliers` of linear costs, a few programs to a call; NaN for those without a solution."""
-    q, b, G = program[0], program[2], program[3]
-    x, y, z = np.full(q.shape, np.nan), np.full(b.shape, np.nan), np.full(G.shape[:2], np.nan)
-
-    def solve(rows: Indices) -> None:
-        found = solve_blocks_and_multipliers(None, *(a[rows] for a in program))
-        if found is not None:
-            x[rows], y[rows], z[rows] = found
-        elif len(rows) > 1:
-            for row in rows:
-                solve(np.array([row]))
-
-    for first in range(0, len(q), TOGETHER):
-        solve(np.arange(first, min(first + TOGETHER, len(q))))
-    return x, y, z

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from climber.programs.blocks import solve_blocks_and_multipliers
+from climber.programs.blocks import solve_each
 from climber.robot import Indices
 from climber.stance import Vector
 
@@ -28,7 +28,7 @@ Mask = NDArray[np.bool_]
 LEVEL = 1e-9  # [N, N m] what forces may change a limit's row by and count as not changing it
 UNBALANCED = 1e-6  # [N, N m] imbalance that is the rounding of whoever made the motion
 ROOM = 1e3  # [N] the most room inside the limits that is looked for
-NUDGE = 1e-6  # [N, N m]
+NUDGE = 1e-6  # [N, N m] what limits may give way by where the solver gets stuck
 SPARSE = 8  # samples of which the middle of the limits is looked for at one
 
 
@@ -131,7 +131,7 @@ class Instants:
         weight = np.broadcast_to(self.weight[:, None], (K, len(self.weight), 1))
         rows = np.concatenate([np.concatenate([self.G, weight], axis=2), most], axis=1)
         right = np.concatenate([self.g, np.full((K, 1), ROOM)], axis=1)
-        found = solve_each(cost, np.pad(self.E, ((0, 0), (0, 0), (0, 1))), b, rows, right)
+        found = solve_each(cost, np.pad(self.E, ((0, 0), (0, 0), (0, 1))), b, rows, right, nudge=NUDGE).x
         return self.balanced(found[:, :n]), found[:, n]
 
     @cached_property
@@ -139,30 +139,3 @@ class Instants:
         """Whether the center balances and is inside the limits, shape (K,)."""
         gap = np.abs(np.einsum("kun,kn->ku", self.E, self.center) - self.b).max(axis=1, initial=0.0)
         return np.asarray((gap <= UNBALANCED) & (self.room(self.center).min(axis=1, initial=0.0) >= -UNBALANCED))
-
-
-def solve_each(q: Vector, E: Vector, b: Vector, G: Vector, g: Vector) -> Vector:
-    """`solve_blocks` of linear programs; where one spoils the rest, each for itself, NaN where there is no solution."""
-    return solve_each_and_multipliers(q, E, b, G, g)[0]
-
-
-def solve_each_and_multipliers(q: Vector, E: Vector, b: Vector, G: Vector, g: Vector) -> tuple[Vector, Vector, Vector]:
-    """`solve_each`, and the multipliers of E x = b and of G x <= g, NaN where there is no solution."""
-    found = solve_blocks_and_multipliers(None, q, E, b, G, g)
-    if found is not None:
-        return found
-    if len(q) == 1:
-        # A hair's breadth of difference is enough for the solver to get on.
-        nudge = NUDGE * np.arange(1, g.shape[1] + 1) / g.shape[1]
-        found = solve_blocks_and_multipliers(None, q, E, b, G, g + nudge)
-        return (np.full_like(q, np.nan), np.full_like(b, np.nan), np.full_like(g, np.nan)) if found is None else found
-    half = len(q) // 2
-    first, second = (
-        solve_each_and_multipliers(q[part], E[part], b[part], G[part], g[part])
-        for part in (slice(half), slice(half, None))
-    )
-    return (
-        np.concatenate([first[0], second[0]]),
-        np.concatenate([first[1], second[1]]),
-        np.concatenate([first[2], second[2]]),
-    )

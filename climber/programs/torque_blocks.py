@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from climber.programs.blocks import solve_blocks
+from climber.programs.blocks import solve_blocks, solve_each
 from climber.programs.instants import Instants
 from climber.stance import Vector
 
@@ -42,7 +42,7 @@ def optimum(instants: Instants, unlimited: Vector) -> Vector | None:
     room = limits - np.einsum("srn,sn->sr", rows, unlimited)
     cone_room = d - np.einsum("scan,sn->sca", C, unlimited)
     change = solve_blocks(H, np.zeros_like(unlimited), instants.E, np.zeros_like(instants.b), rows, room, C, cone_room)
-    return None if change is None else instants.balanced(unlimited + change)
+    return None if change is None else instants.balanced(unlimited + change.x)
 
 
 def least_violation(instants: Instants) -> tuple[Vector, Vector]:
@@ -81,7 +81,8 @@ def _least_slack(
 ) -> tuple[Vector, Vector]:
     """The least s >= lowest with E t = b and rows (t, s) <= limits, a conic program: t (K, n) and s (K,).
 
-    The apexes of friction cones give way by s too, or else by no more than rounding.
+    The apexes of friction cones give way by s too, or else by no more than rounding. Where the solver finds no forces
+    they count as infinitely far outside: forces that no solver finds are of no use.
     """
     K, n = len(instants), len(instants.lower)
     cost, bound = np.zeros((K, n + 1)), np.zeros((K, 1, n + 1))
@@ -94,21 +95,6 @@ def _least_slack(
         C[:, :, 0, n] = -1.0
     else:
         d[:, :, 0] += TOLERANCE
-    solution = _solve_each(cost, _slackened(instants.E, 0.0), instants.b, rows, limits, C, d)
-    return solution[:, :n], solution[:, n]
-
-
-def _solve_each(cost: Vector, *program: Vector) -> Vector:
-    """`solve_blocks` of linear programs that have solutions, in halves where Clarabel gets no further with all at once.
-
-    With cones it can stop short of a solution of dozens of programs each of which it solves. One that it does not solve
-    alone counts as infeasible, its slack, the last unknown, as infinite: forces that no solver finds are of no use.
-    """
-    solution = solve_blocks(None, cost, *program)
-    if solution is not None:
-        return solution
-    half = len(cost) // 2
-    if half == 0:
-        return np.append(np.zeros(cost.shape[1] - 1), np.inf)[None]
-    parts = (slice(None, half), slice(half, None))
-    return np.concatenate([_solve_each(cost[part], *(x[part] for x in program)) for part in parts])
+    found = solve_each(cost, _slackened(instants.E, 0.0), instants.b, rows, limits, C, d).x
+    t, s = found[:, :n], found[:, n]
+    return np.nan_to_num(t), np.where(np.isnan(s), np.inf, s)
