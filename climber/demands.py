@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from climber.least_margins import with_unit
 from climber.margins import CAPS, phase_margins
 from climber.phase_instants import Moving
 from climber.plan_parts import MarginKind
@@ -22,8 +23,6 @@ from climber.scenario_fields import SURE, MinMargin
 from climber.stance import Contact, Vector
 from climber.timing import Samples
 from climber.wall import Wall
-
-UNITS: dict[MarginKind, str] = {"push": " N", "center": " m", "place": " m", "normal": " rad"}
 
 SEEN = 0.9  # share of the greatest margin looked for that is sure to be found where there is more
 
@@ -65,7 +64,7 @@ class Demands:
 
     def told(self) -> str:
         """The demands in words."""
-        return ", ".join(f"{kind} {value:g}{UNITS.get(kind, '')}" for kind, value in self.least.items())
+        return ", ".join(f"{kind} {with_unit(kind, value)}" for kind, value in self.least.items())
 
     def lacking(self, robot: Robot, phases: Sequence[Moving]) -> list[str]:
         """For each phase which of the margins is short and by how much, in words; "" if none is."""
@@ -78,8 +77,8 @@ class Demands:
             short = [kind for kind in kinds if margins[kind].value < min(self.least[kind] / SURE, 0.99 * CAPS[kind])]
             result.append(
                 "; ".join(
-                    f"the margin of {kind} is {margins[kind].value:.3g}{UNITS.get(kind, '')}, "
-                    f"{self.least[kind]:g}{UNITS.get(kind, '')} asked for"
+                    f"the margin of {kind} is {with_unit(kind, margins[kind].value, 3)}, "
+                    f"{with_unit(kind, self.least[kind])} asked for"
                     for kind in short
                 )
             )

@@ -14,7 +14,9 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
+from climber.least_margins import least_margins
 from climber.plan_file import Plan
+from climber.plan_parts import MarginKind
 from climber.simulation import SLIP_LIMIT, Perturbation, Simulation
 from climber.simulation_loop import Loop, Setting
 
@@ -82,21 +84,12 @@ class Survival:
         return max((run.slip for run in self.runs if not run.fell), default=float("nan"))
 
 
-def least_margins(plan: Plan) -> dict[str, float]:
-    """What the whole plan is certified to survive, by kind of error: the least margin of any of its phases.
-
-    Units are those of `climber.plan_file.PhaseMargin`.
-    """
-    every = [phase.margins for robot in plan.robots for phase in robot.phases]
-    return {kind: min(margins[kind].value for margins in every) for kind in every[0] if all(kind in m for m in every)}
-
-
 def certified(plan: Plan, perturbation: Perturbation) -> bool | None:
     """Whether the plan's margins say that a perturbation is survived; None if they say nothing of its kind.
 
     Margins are of one error at a time, and of one hold out of place, where the simulation displaces all.
     """
-    off = {
+    off: dict[MarginKind, float] = {
         "friction": max(0.0, 1.0 - perturbation.friction_scale),
         "mass": abs(perturbation.mass_scale - 1.0),
         "push": perturbation.push,

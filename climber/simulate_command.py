@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,19 +12,11 @@ from rich.console import Console
 from rich.table import Table
 
 from climber.exceptions import ClimberError
+from climber.least_margins import WORDS, least_margins
 from climber.plan_file import Plan
-from climber.simulate import Survival, certified, least_margins, monte_carlo, simulate
+from climber.simulate import Survival, certified, monte_carlo, simulate
 from climber.simulation import SLIP_LIMIT, Perturbation, Simulation
 
-# What is said of a plan's margins, by kind: a factor and words.
-MARGINS = {
-    "friction": (100.0, "friction less by {:.2g} %"),
-    "mass": (100.0, "mass off by {:.2g} %"),
-    "push": (1.0, "a push of {:.2g} N"),
-    "place": (1e3, "one hold off by {:.2g} mm"),
-    "center": (1e3, "centre of mass off by {:.2g} mm"),
-    "normal": (180.0 / math.pi, "one hold turned by {:.2g} degrees"),
-}
 START_ERROR = 0.001  # [m], if there are several runs and nothing else is asked for
 
 
@@ -213,7 +204,7 @@ def _tell_all(console: Console, plan: Plan, rows: list[Survival]) -> None:
     console.print(table)
     console.print(f"survived: no fall, and no holding foot slipped more than {1e3 * rows[0].runs[0].slip_limit:g} mm")
     margins = least_margins(plan)
-    told = [f"{unit.format(margins[kind] * scale)}" for kind, (scale, unit) in MARGINS.items() if kind in margins]
+    told = [WORDS[kind].phrase.format(WORDS[kind].size(value, 2)) for kind, value in margins.items()]
     if told:
         console.print(f"certified by the plan, one error at a time: {', '.join(told)}")
     fallen = [(run, robot) for row in rows for run in row.runs for robot in run.robots if robot.fell]

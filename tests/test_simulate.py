@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from plans import STEP, edited, step_plan, still_plan
 
 from climber.cli import main
+from climber.least_margins import least_margins
 from climber.reference import Reference
 from climber.robot import Model, Robot
 from climber.scene import Scene
-from climber.simulate import TIME_STEP, certified, least_margins, monte_carlo, simulate
+from climber.simulate import TIME_STEP, certified, monte_carlo, simulate
 from climber.simulation import Perturbation, Simulation
 from climber.simulation_model import FOOT_RADIUS, Touch, World
 from climber.simulation_page import recorded
