@@ -6,12 +6,14 @@ from functools import cache
 
 import numpy as np
 
+from climber.demands import Demands
 from climber.manifold import Body
 from climber.motion import MotionPlanner
 from climber.phases import Way
 from climber.plan_parts import ObjectiveKind
 from climber.robot import Model, Robot
 from climber.scenario import load_scenario
+from climber.scenario_fields import MinMargin
 from climber.stance import Move, Stance
 from climber.start import start_postures
 from climber.transitions import TransitionFinder
@@ -21,13 +23,14 @@ MOVES = ((0, 5), (1, 3), (3, 4), (2, 2))  # limb and hold: how the climb of `bas
 
 @cache
 def beginning(
-    count: int = 3, seed: int = 0, objective: ObjectiveKind = "length", free_start: bool = False
+    count: int = 3, seed: int = 0, objective: ObjectiveKind = "length", free_start: bool = False, push: float = 0.0
 ) -> tuple[MotionPlanner, Way]:
-    """The first moves of `basic`, and the planner that planned them."""
+    """The first moves of `basic`, to survive a push [N] throughout, and the planner that planned them."""
     scenario = load_scenario("basic")
     wall = scenario.build_wall()
     robot = Robot(Model.load(scenario.robots[0].model, scenario.folder), wall.gravity)
-    finder = TransitionFinder(Body(robot, wall), np.random.default_rng(seed))
+    body = Body(robot, wall, Demands.of(wall, MinMargin(push=push)))
+    finder = TransitionFinder(body, np.random.default_rng(seed))
     stance = Stance(tuple(scenario.robots[0].start[name] for name in robot.limb_names))
     start = start_postures(scenario, 0, finder, stance)
     moves = []

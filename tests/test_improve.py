@@ -12,7 +12,9 @@ import pytest
 from climbs import beginning
 
 from climber.improve import Improver, Progress
-from climber.phases import Way
+from climber.manifold import Body
+from climber.margins import phase_margins
+from climber.phases import PhasePlanner, Way
 from climber.plan import plan_climb
 from climber.plan_parts import ObjectiveKind
 from climber.scenario import Scenario, load_scenario
@@ -72,6 +74,19 @@ def test_rounds_find_shorter_climbs() -> None:
         _, _, progress = improved("length", seed)
         gains.append(progress.entries[0][1] - progress.entries[-1][1])
     assert min(gains) >= 0.0 and max(gains) > 0.0
+
+
+def test_a_climb_keeps_the_margins_asked_for_where_it_would_give_them_up_for_a_shorter_one() -> None:
+    push = 1.0  # [N]
+    planner, way = beginning(free_start=True, push=push)
+    robot, wall = planner.body.robot, planner.body.wall
+    careless = PhasePlanner(Body(robot, wall), planner.objective)
+    least = []
+    for phases in (planner.phases, careless):
+        better, progress = Improver(phases, planner.budget, 0).improve(way, time.perf_counter(), ROUNDS)
+        assert len(progress.entries) > 1
+        least.append(min(margins["push"].value for margins in phase_margins(robot, wall, better.chained(), ["push"])))
+    assert least[0] >= push > least[1]
 
 
 def test_a_record_ends_with_the_value_of_the_plan_and_forgets_what_was_better() -> None:

@@ -28,7 +28,7 @@ from climber.programs.rays import rays
 from climber.programs.survival import Instants
 from climber.programs.torque import TorqueProgram
 from climber.robot import Robot
-from climber.scenario import scenario_from_text
+from climber.scenario import load_scenario, scenario_from_text
 from climber.scenario_fields import MinMargin
 from climber.stance import Contact, Vector
 from climber.timing import Samples
@@ -302,6 +302,22 @@ def test_margins_are_the_least_of_all_instants() -> None:
         values = [single[kind].value for single in phase_margins(robot, wall, singles, [kind])]
         assert phase.margins[kind].value <= min(values) * (1.0 + 1.1 * GAP)
         assert phase.margins[kind].value >= min(values) * (1.0 - 6.0 * GAP)  # what lies between may be less
+
+
+def test_where_a_step_begins_at_the_forces_of_another_instant_it_does_not_end_there() -> None:
+    """Two instants of one posture, accelerated there and back; either alone needs next to no friction."""
+    wall, robot = load_scenario("wider").build_wall(), named()
+    q = np.array([[1.017, 0.589, 2.317, -0.068, -1.315, 0.59, -2.02, -1.181, -1.051, 1.156, -1.807]])
+    vd = np.array([[0.0, 0.01, -0.04, 0.12, -0.08, 0.08, 0.04, -0.01, 0.09, 0.08, -0.08]])
+    contacts = tuple(Contact(limb, on) for limb, on in enumerate((37, 32, 30, 39)))
+
+    def phase(*ways: float) -> Standing:
+        rows = np.array(ways)[:, None]
+        return Standing(contacts, Samples(np.arange(len(ways), dtype=float), rows**2 * q, 0.0 * rows * q, rows * vd))
+
+    together, *alone = phase_margins(robot, wall, [phase(1.0, -1.0), phase(1.0), phase(-1.0)], ["friction"])
+    least = min(margins["friction"].value for margins in alone)
+    assert least * (1.0 - 1.1 * GAP) <= together["friction"].value <= least * (1.0 + 1.1 * GAP)
 
 
 def test_margins_do_not_depend_on_which_other_phases_are_looked_at() -> None:

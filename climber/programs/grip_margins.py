@@ -225,11 +225,13 @@ class ErrorMargin:
         E = np.pad(at.E, ((0, 0), (0, 0), (0, 1)))
         found = solve_each(cost, E, at.balanceable, rows, right, nudge=NUDGE).x
         for (p, k, w), x in zip(wanted, found[:, :n], strict=True):
-            before, leap = self.survived[k, w], (k, w) not in self._x and target[p] > 0.0
+            before, again = self.survived[k, w], (k, w) in self._x
             if np.isfinite(x).all():
                 self._x[k, w] = x
                 self._try(p, w, x)
-            self._settled[k, w] = not leap and self.survived[k, w] <= (1.0 + SETTLED) * before + 1e-9
+            # A step that leaps, or takes its rates from forces that survive less, need not gain much where more do.
+            own = again or not np.isfinite(x).all()
+            self._settled[k, w] = own and self.survived[k, w] <= (1.0 + SETTLED) * before + 1e-9
 
     def _try(self, p: int, w: int, x: Vector) -> None:
         """Follows the way from the center to forces x, at the instants of a phase, as far as the limits go."""
