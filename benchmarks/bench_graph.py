@@ -13,28 +13,26 @@ Walls in space are those of `climber wall --kind` with 300 holds, for a robot of
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import multiprocessing
 import resource
 import sys
 import time
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
 from benchmarks.peers.thesis_graph import PeerGraph, ThesisGraph
 from benchmarks.rows import Row
+from benchmarks.thesis import Quadruped, graph_of, wall_data
 from climber.graph import StanceGraph, build_stance_graph
 from climber.poses import Rotations, find_poses
 from climber.programs.support import hold_set_intervals
-from climber.stance import Stance, Vector
+from climber.scenario_fields import CostWeights
+from climber.stance import Stance
 from climber.wall import Hold, Wall
 from climber.wall_kinds import KINDS, make_wall
 
-WALLS = Path(__file__).parent / "walls"
 TARGET_RATIO = {"plain": 300.0, "with caches": 50.0}  # times faster, on W2 and W3
 TARGET_SECONDS = {"W2": 0.030, "W3": 0.080}
 TARGET_SCATTERED = {1000: (5.0, 1.0), 10_000: (60.0, 6.0)}  # [s], [GB] by number of holds
@@ -42,41 +40,16 @@ TARGET_SPACE = 10.0  # [s]
 DENSITY, SPACING = 35.0, 0.12  # [1/m^2], [m] of W3
 
 
-class Weights(NamedTuple):
-    """W1, W2 and W3 of Gönen's eq. 4.22, as the walls were calibrated with."""
-
-    reach: float = 100.0
-    stability: float = 1.0
-    robustness: float = 1.0
-
-
-@dataclass(frozen=True)
-class Quadruped:
-    """What the stance graph asks of the thesis's robot."""
-
-    reach: Vector
-    symmetries: tuple[tuple[int, ...], ...] = ((0, 1, 2, 3), (2, 3, 0, 1))
-    mass: float = 2.0
-    dimension: int = 2
-
-
 def ours(data: dict) -> tuple[StanceGraph, float]:
     """The graph of a wall as in `walls/`, and the time from the numbers in the file to it [s]."""
-    reach = data["robot"]["r"] + data["robot"]["l1"] + data["robot"]["l2"]
     began = time.perf_counter()
-    wall = Wall(
-        tuple(
-            Hold((h["x"], h["y"], 0.0), (*h["normal"], 0.0), h["mu"], min_force=2.0, max_force=20.0)
-            for h in data["holds"]
-        )
-    )
-    graph = build_stance_graph(wall, Quadruped(np.full(4, reach)), Stance(tuple(data["start"])), Weights())
+    graph = graph_of(data)
     return graph, time.perf_counter() - began
 
 
 def against_peers(name: str, repeat: int, most_seconds: float, skip_peer: bool) -> bool:
     """Prints the comparison; False if the graphs differ."""
-    data = json.loads((WALLS / f"{name}.json").read_text())
+    data = wall_data(name)
     graph, _ = ours(data)  # the first call fills caches of numpy and scipy
     seconds = [ours(data)[1] for _ in range(repeat)]
     peers: dict[str, PeerGraph] = {}
@@ -160,7 +133,7 @@ def wide_wall(num_holds: int, seed: int) -> tuple[float, float, float, dict[str,
     spent = busy = 0.0
     for start in starts.tolist():
         began, busy_before = time.perf_counter(), time.process_time()
-        graph = build_stance_graph(wall, Quadruped(reach), Stance(tuple(start)), Weights())
+        graph = build_stance_graph(wall, Quadruped(reach), Stance(tuple(start)), CostWeights())
         spent, busy = time.perf_counter() - began, time.process_time() - busy_before
         if graph.num_edges:
             break
@@ -177,7 +150,7 @@ def wall_in_space(kind: str, num_holds: int = 300) -> tuple[float, float, dict[s
     spent = busy = 0.0
     for start in starts.tolist():
         began, busy_before = time.perf_counter(), time.process_time()
-        graph = build_stance_graph(wall, robot, Stance(tuple(start)), Weights())
+        graph = build_stance_graph(wall, robot, Stance(tuple(start)), CostWeights())
         spent, busy = time.perf_counter() - began, time.process_time() - busy_before
         if graph.num_edges:
             break

@@ -15,7 +15,6 @@ no path, or if a path of either leaves its holds or lets the centre of mass out 
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import sys
 import time
@@ -24,12 +23,12 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks.peers.thesis_ompl import PeerSwing, ThesisSwing
 from benchmarks.rows import Row
+from benchmarks.thesis import wall_data, wall_of
 from climber.choose import Candidates, Layer
 from climber.manifold import Body, Manifold
 from climber.objective import Objective
@@ -39,9 +38,7 @@ from climber.robot import Robot
 from climber.stance import Contact, Move, Stance
 from climber.transition import find_transition, support_of
 from climber.transitions import Effort
-from climber.wall import Hold, Wall
 
-WALLS = Path(__file__).parent / "walls"
 MODEL = "package://climber/quadruped/quadruped.urdf"
 TARGET_RATIO = 50.0  # times faster
 # Limb and hold of each move of the first climb of W2 from start to goal that has postures at both ends of every move,
@@ -53,25 +50,14 @@ CLIMB = (
 
 
 @cache
-def wall_data(name: str = "W2") -> dict:
-    """A wall as in `walls/`."""
-    data: dict = json.loads((WALLS / f"{name}.json").read_text())
-    return data
-
-
-@cache
 def body(name: str = "W2") -> Body:
     """The thesis's robot on a wall of `walls/`."""
-    holds = (
-        Hold((h["x"], h["y"], 0.0), (*h["normal"], 0.0), h["mu"], min_force=2.0, max_force=20.0)
-        for h in wall_data(name)["holds"]
-    )
-    return Body(Robot(MODEL), Wall(tuple(holds)))
+    return Body(Robot(MODEL), wall_of(wall_data(name)))
 
 
 def climb() -> list[Move]:
     """The moves of `CLIMB`."""
-    moves = [Move(Stance(tuple(wall_data()["start"])), *CLIMB[0])]
+    moves = [Move(Stance(tuple(wall_data("W2")["start"])), *CLIMB[0])]
     for limb, hold in CLIMB[1:]:
         moves.append(Move(moves[-1].end, limb, hold))
     return moves
@@ -157,7 +143,7 @@ def sound(swing: Swing) -> bool:
 
 
 def _peer(pipe: Connection, move: Move, seed: int, time_limit: float, goals: int) -> None:
-    pipe.send(ThesisSwing(wall_data(), move.start.holds, move.end.holds).plan(seed, time_limit, goals))
+    pipe.send(ThesisSwing(wall_data("W2"), move.start.holds, move.end.holds).plan(seed, time_limit, goals))
 
 
 def peer_swing(move: Move, seed: int, time_limit: float, goals: int) -> PeerSwing:

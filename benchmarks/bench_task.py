@@ -10,49 +10,26 @@ of the plan just given are cut. Run on one core, from the checkout. The exit cod
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.peers import thesis_asp
 from benchmarks.rows import Row
-from climber.graph import build_stance_graph
-from climber.stance import Stance, Vector
+from benchmarks.thesis import graph_of, wall_data
 from climber.task import TaskPlan, TaskPlanner
-from climber.wall import Hold, Wall
 
 Ints = NDArray[np.signedinteger[Any]]
 
-WALLS = Path(__file__).parent / "walls"
 TARGET_RATIO = {"W3": 100.0}  # times faster than the thesis's encoding
 TARGET_AGAIN = 0.2  # [s]
-
-
-class Weights(NamedTuple):
-    """W1, W2 and W3 of Gönen's eq. 4.22, as the walls were calibrated with."""
-
-    reach: float = 100.0
-    stability: float = 1.0
-    robustness: float = 1.0
-
-
-@dataclass(frozen=True)
-class Quadruped:
-    """What the stance graph asks of the thesis's robot."""
-
-    reach: Vector
-    symmetries: tuple[tuple[int, ...], ...] = ((0, 1, 2, 3), (2, 3, 0, 1))
-    mass: float = 2.0
-    dimension: int = 2
 
 
 @dataclass(frozen=True)
@@ -84,14 +61,8 @@ class Problem:
 
 def problems(name: str) -> tuple[Problem, Problem]:
     """The graphs of a wall: of poses, as in the thesis, and of ordered stances."""
-    data = json.loads((WALLS / f"{name}.json").read_text())
-    holds = (
-        Hold((h["x"], h["y"], 0.0), (*h["normal"], 0.0), h["mu"], min_force=2.0, max_force=20.0) for h in data["holds"]
-    )
-    reach = data["robot"]["r"] + data["robot"]["l1"] + data["robot"]["l2"]
-    graph = build_stance_graph(
-        Wall(tuple(holds)), Quadruped(np.full(4, reach)), Stance(tuple(data["start"])), Weights()
-    )
+    data = wall_data(name)
+    graph = graph_of(data)
     poses = graph.pose_graph()
     number = {tuple(pose): vertex for vertex, pose in enumerate(poses.poses.tolist())}
     start, goal = tuple(sorted(data["start"])), tuple(sorted(data["goal"]))

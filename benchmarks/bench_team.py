@@ -13,7 +13,6 @@ in the thesis's encoding, are the same problem. The exit code is 1 if the planne
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -24,13 +23,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks import bench_graph
-from benchmarks.bench_task import TARGET_AGAIN, WALLS, Problem, Quadruped, Weights, problems
+from benchmarks.bench_task import TARGET_AGAIN, Problem, problems
 from benchmarks.peers import thesis_asp
 from benchmarks.rows import Row
+from benchmarks.thesis import Quadruped, wall_data
 from climber.graph import build_stance_graph
 from climber.layers import FAR
 from climber.poses import Rotations, find_poses
 from climber.programs.support import hold_set_intervals
+from climber.scenario_fields import CostWeights
 from climber.stance import Stance
 from climber.task import RobotTask, TaskPlan, TaskPlanner
 
@@ -152,7 +153,7 @@ def across(num_holds: int, repeat: int) -> None:
     starts = near[find_poses(positions[near], reach, Rotations(4, 1, 2), {})]
     starts = starts[~np.isnan(hold_set_intervals(wall, starts, 2.0)[:, 0])]
     robot = Quadruped(reach)
-    graphs = (build_stance_graph(wall, robot, Stance(tuple(start)), Weights()) for start in starts.tolist())
+    graphs = (build_stance_graph(wall, robot, Stance(tuple(start)), CostWeights()) for start in starts.tolist())
     graph = next(graph for graph in graphs if graph.num_edges)
     lowest = int(positions[graph.stances, 1].sum(axis=1).argmin())
     arrays = graph.num_vertices, graph.tail, graph.head, graph.cost
@@ -182,7 +183,7 @@ def main() -> None:
     parser.add_argument("--skip-peers", action="store_true", help="only ours")
     arguments = parser.parse_args()
     encodings = [] if arguments.skip_peers else arguments.encodings
-    data = json.loads((WALLS / f"{arguments.wall}.json").read_text())
+    data = wall_data(arguments.wall)
     poses, stances = problems(arguments.wall)
 
     way = vertex(poses, data["waypoint"])

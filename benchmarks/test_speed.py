@@ -12,7 +12,8 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from benchmarks.bench_graph import ours
-from benchmarks.bench_swing import body, climb, contacts, our_swing, wall_data
+from benchmarks.bench_swing import body, climb, contacts, our_swing
+from benchmarks.thesis import wall_data
 from climber.dynamics import evaluate
 from climber.path import Search, find_path
 from climber.programs.support import hold_set_intervals

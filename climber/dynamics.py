@@ -178,18 +178,3 @@ def inverse_dynamics(dynamics: DynamicsBatch, vd: Vector) -> InverseDynamics:
     inverse = np.linalg.pinv(R[:, :m], rcond=RANK_TOLERANCE)
     force = np.einsum("kij,kj->ki", inverse, load[:, :m] - np.einsum("kij,kj->ki", QtSt[:, :m], torque))
     return InverseDynamics(torque, force)
-
-
-def tracking_torque(
-    feedforward: Vector, q_error: Vector, v_error: Vector, proportional: float, derivative: float
-) -> Vector:
-    """Joint tracking with feed-forward compensation (4.34) [N m], shape (..., num_joints).
-
-    Args:
-        feedforward: Torques of the inverse dynamics of the desired accelerations [N m], shape (..., num_joints).
-        q_error: Desired less actual joint positions [rad], shape (..., num_joints).
-        v_error: Desired less actual joint velocities [rad/s], shape (..., num_joints).
-        proportional: Position gain [N m/rad].
-        derivative: Velocity gain [N m s/rad].
-    """
-    return feedforward + proportional * q_error + derivative * v_error

@@ -14,9 +14,10 @@ from rich.console import Console
 
 from benchmarks import __main__ as everything
 from benchmarks import bench_graph, bench_solve, bench_swing, bench_task
-from benchmarks.bench_swing import MODEL, body, climb, our_swing, peer_swing, sound, wall_data
+from benchmarks.bench_swing import MODEL, body, climb, our_swing, peer_swing, sound
 from benchmarks.peers.thesis_ompl import JOINT_LIMIT, Contacts, Geometry, ThesisSwing
 from benchmarks.rows import Row, markdown, table
+from benchmarks.thesis import wall_data
 from climber.robot import Robot
 from climber.transition import support_of
 
@@ -94,7 +95,7 @@ def test_every_part_that_is_named_exists_and_every_file_is_a_part():
 @settings(max_examples=20, deadline=None)
 def test_the_peer_moves_the_same_robot_as_ours(seed: int):
     q = random_postures(seed, 5)
-    geometry, kinematics = Geometry.of(wall_data()), body().kinematics
+    geometry, kinematics = Geometry.of(wall_data("W2")), body().kinematics
     feet, centers = kinematics.feet(in_our_order(q)), kinematics.center_of_mass(in_our_order(q))
     for i, row in enumerate(q):
         out = np.empty(8)
@@ -112,7 +113,7 @@ def test_joint_limits_of_peer_and_model_agree():
 @settings(max_examples=10, deadline=None)
 def test_the_peers_jacobian_is_that_of_its_equations(seed: int):
     (q,) = random_postures(seed, 1)
-    contacts = Contacts(Geometry.of(wall_data()), [0, 2, 3], np.zeros((3, 2)))
+    contacts = Contacts(Geometry.of(wall_data("W2")), [0, 2, 3], np.zeros((3, 2)))
     jacobian, step = np.empty((6, 11)), 1e-6
     contacts.jacobian(q, jacobian)
     for j in range(11):
@@ -124,7 +125,7 @@ def test_the_peers_jacobian_is_that_of_its_equations(seed: int):
 
 def test_peer_and_ours_keep_the_centre_of_mass_over_the_same_interval():
     for move in climb():
-        peer = ThesisSwing(wall_data(), move.start.holds, move.end.holds)
+        peer = ThesisSwing(wall_data("W2"), move.start.holds, move.end.holds)
         support = [contact for contact in bench_swing.contacts(move.start) if contact.limb != move.limb]
         ours = support_of(body(), support)
         assert ours is not None and peer.holding == pytest.approx(ours.abscissas, abs=1e-6)
@@ -132,7 +133,7 @@ def test_peer_and_ours_keep_the_centre_of_mass_over_the_same_interval():
 
 def test_postures_of_the_peer_stand_on_all_four_holds():
     move = climb()[1]
-    peer = ThesisSwing(wall_data(), move.start.holds, move.end.holds)
+    peer = ThesisSwing(wall_data("W2"), move.start.holds, move.end.holds)
     q = peer.posture(peer.goal, peer.arriving, np.random.default_rng(0), 2000)
     assert q is not None
     feet = body().kinematics.feet(in_our_order(q[None]))[0, :, :2]
@@ -141,8 +142,8 @@ def test_postures_of_the_peer_stand_on_all_four_holds():
 
 def test_the_benchmarked_moves_are_a_climb_from_start_to_goal():
     moves = climb()
-    assert moves[0].start.holds == tuple(wall_data()["start"])
-    assert sorted(moves[-1].end.holds) == sorted(wall_data()["goal"])
+    assert moves[0].start.holds == tuple(wall_data("W2")["start"])
+    assert sorted(moves[-1].end.holds) == sorted(wall_data("W2")["goal"])
     assert all(len(set(move.end.holds)) == 4 for move in moves)
 
 
@@ -184,7 +185,7 @@ def test_the_length_of_a_motion_is_that_of_its_phases():
     assert len(lengths) > 1
 
 
-def test_a_climb_that_is_not_found_is_told(tmp_path):
+def test_a_climb_that_is_not_found_is_told():
     scenario = bench_solve.ROOT / "scenarios" / "basic.yaml"
     run = bench_solve.run(scenario, 0, "--time-limit", "0.000001")
     assert run.complaint.startswith("solve: ") and "time limit" in run.complaint

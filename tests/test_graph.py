@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import combinations, pairwise, permutations, product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,21 +20,14 @@ from climber.graph import StanceGraph, build_stance_graph
 from climber.programs.equilibrium import SupportProgram
 from climber.programs.forces import wall_forces, weight_in_plane
 from climber.programs.support import hold_set_intervals
+from climber.scenario_fields import CostWeights
 from climber.stance import Stance
 from climber.wall import GRIPS, Wall
 
 
-class Weights(NamedTuple):
-    """W1, W2, W3 of eq. 4.22."""
-
-    reach: float = 100.0
-    stability: float = 1.0
-    robustness: float = 1.0
-
-
 def _graph(name: str) -> StanceGraph:
     wall, start, _ = thesis_wall(name)
-    return build_stance_graph(wall, QUADRUPED, start, Weights())
+    return build_stance_graph(wall, QUADRUPED, start, CostWeights())
 
 
 # The plain implementation of the thesis's method gives the same numbers at every stage.
@@ -199,7 +192,7 @@ def test_graph_equals_an_enumeration_of_permutations(name: str) -> None:
             edges = truth.explore(start)
             if edges:
                 break
-        graph = build_stance_graph(wall, robot, start, Weights())
+        graph = build_stance_graph(wall, robot, start, CostWeights())
 
         assert graph.counts["valid"] == len(truth.valid)
         assert graph.counts["non_crossing"] == len(truth.stances)
@@ -251,7 +244,7 @@ def test_numbering_of_the_holds_does_not_matter() -> None:
         Wall(tuple(wall.holds[i] for i in shuffled)),
         QUADRUPED,
         Stance(tuple(int(new_number[h]) for h in start.holds)),
-        Weights(),
+        CostWeights(),
     )
     assert other.counts == graph.counts
     vertex = {other.vertex(Stance(tuple(int(new_number[h]) for h in s))): v for v, s in enumerate(graph.stances)}
@@ -328,27 +321,27 @@ def test_goal_by_holds_by_stance_and_by_region() -> None:
 def test_start_that_cannot_be_stood_on_says_why() -> None:
     wall, start, _ = thesis_wall("W1")
     with pytest.raises(ClimberError, match="counter-clockwise"):
-        build_stance_graph(wall, QUADRUPED, Stance((3, 1, 2, 0)), Weights())
+        build_stance_graph(wall, QUADRUPED, Stance((3, 1, 2, 0)), CostWeights())
     with pytest.raises(ClimberError, match="within reach"):
-        build_stance_graph(wall, QUADRUPED, Stance((9, 1, 0, 8)), Weights())
+        build_stance_graph(wall, QUADRUPED, Stance((9, 1, 0, 8)), CostWeights())
     for holds in ((3, 1, 0), (3, 1, 0, 0), (3, 1, 0, 10), (3, 1, 0, -1)):
         with pytest.raises(ValueError, match="different holds of 0 to 9"):
-            build_stance_graph(wall, QUADRUPED, Stance(holds), Weights())
-    assert build_stance_graph(wall, QUADRUPED, start, Weights()).start >= 0
+            build_stance_graph(wall, QUADRUPED, Stance(holds), CostWeights())
+    assert build_stance_graph(wall, QUADRUPED, start, CostWeights()).start >= 0
 
 
 def test_symmetry_that_is_not_one_is_refused() -> None:
     wall, start, _ = thesis_wall("W1")
     with pytest.raises(ValueError, match="not a rotation"):
-        build_stance_graph(wall, DiskRobot(np.full(4, 0.25), ((1, 0, 3, 2),)), start, Weights())
+        build_stance_graph(wall, DiskRobot(np.full(4, 0.25), ((1, 0, 3, 2),)), start, CostWeights())
     with pytest.raises(ValueError, match="unlike reach"):
-        build_stance_graph(wall, DiskRobot(np.array([0.25, 0.25, 0.3, 0.3]), ((2, 3, 0, 1),)), start, Weights())
+        build_stance_graph(wall, DiskRobot(np.array([0.25, 0.25, 0.3, 0.3]), ((2, 3, 0, 1),)), start, CostWeights())
 
 
 def test_holds_out_of_reach_of_the_start_add_no_moves() -> None:
     wall, start, _ = thesis_wall("W1")
     far = tuple(replace(h, position=(h.position[0] + 5.0, h.position[1], 0.0)) for h in wall.holds)
-    alone, beside = (build_stance_graph(w, QUADRUPED, start, Weights()) for w in (wall, Wall(wall.holds + far)))
+    alone, beside = (build_stance_graph(w, QUADRUPED, start, CostWeights()) for w in (wall, Wall(wall.holds + far)))
     assert beside.counts["poses"] == 2 * alone.counts["poses"]
     for stage in (
         "ordered_states_visited",
@@ -365,12 +358,12 @@ def test_holds_out_of_reach_of_the_start_add_no_moves() -> None:
 def test_weights_that_make_costs_too_large_to_count_are_refused() -> None:
     wall, start, _ = thesis_wall("W1")
     with pytest.raises(ValueError, match="use smaller weights"):
-        build_stance_graph(wall, QUADRUPED, start, Weights(reach=1e11))
+        build_stance_graph(wall, QUADRUPED, start, CostWeights(reach=1e11))
 
 
 def test_a_start_without_moves_is_a_graph_of_one_vertex() -> None:
     wall = Wall(tuple(hold(x, y) for x, y in ((0.2, 0.2), (0.0, 0.2), (0.0, 0.0), (0.2, 0.0), (3.0, 3.0))))
-    graph = build_stance_graph(wall, QUADRUPED, Stance((0, 1, 2, 3)), Weights())
+    graph = build_stance_graph(wall, QUADRUPED, Stance((0, 1, 2, 3)), CostWeights())
     assert (graph.num_vertices, graph.num_edges, graph.start) == (1, 0, 0)
     assert graph.stance_support[0] == pytest.approx(hold_set_intervals(wall, np.array([[0, 1, 2, 3]]), 2.0)[0])
     assert graph.goal_vertices(holds=(0, 1, 2, 3)).tolist() == [0]
@@ -380,8 +373,8 @@ def test_a_start_without_moves_is_a_graph_of_one_vertex() -> None:
 def test_a_symmetric_robot_finds_the_same_walks_as_one_whose_symmetry_is_not_known() -> None:
     """The quotient loses nothing: from every start, the same stances by the same moves, twice."""
     wall, start, _ = thesis_wall("W1")
-    quotient = build_stance_graph(wall, QUADRUPED, start, Weights())
-    full = build_stance_graph(wall, DiskRobot.with_limbs(4), start, Weights())
+    quotient = build_stance_graph(wall, QUADRUPED, start, CostWeights())
+    full = build_stance_graph(wall, DiskRobot.with_limbs(4), start, CostWeights())
     assert full.counts["graph_nodes"] == quotient.counts["graph_nodes"]
     image = [quotient.vertex(Stance(tuple(int(h) for h in s))) for s in full.stances]
     assert set(image) == set(range(quotient.num_vertices))
