@@ -25,6 +25,7 @@ from climber.climb_search import ClimbSearch, Report, decode
 from climber.exceptions import NoPlanFound
 from climber.graph import build_stance_graph
 from climber.lessons import Lessons, OnFailure
+from climber.meetings import Conflict
 from climber.motion import MotionPlanner
 from climber.phases import Way
 from climber.plan_parts import Fact, RobotPlan
@@ -34,7 +35,7 @@ from climber.scenario import Scenario
 from climber.stance import Vector
 from climber.states import WAIT, Booleans, Integers
 from climber.task import Impossible, OutOfTime, TaskPlan, TaskPlanner, Walk
-from climber.team import SAME, Conflict, Team, TeamMotion, by_step
+from climber.team import SAME, Team, TeamMotion, by_step
 
 ROOM = 0.02  # [m] that stars of straight limbs keep from one another, since knees stick out
 FAR = 1.0  # [m] stances farther apart do not matter to one another

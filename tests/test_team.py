@@ -14,10 +14,11 @@ from plans import KNEES_OUT, QUADRUPED
 
 from climber.encounter import BETWEEN, Pair, Track
 from climber.manifold import Body
+from climber.meetings import Conflict
 from climber.phase_motion import PhaseMotion
 from climber.robot import Model, Robot
 from climber.stance import Contact, Vector
-from climber.team import Conflict, Team, TeamMotion, by_step
+from climber.team import Team, TeamMotion, by_step
 from climber.timing import Samples
 from climber.wall import Wall
 
