@@ -25,11 +25,12 @@ import numpy as np
 from benchmarks.peers.thesis_graph import PeerGraph, ThesisGraph
 from benchmarks.rows import Row
 from benchmarks.thesis import Quadruped, graph_of, wall_data
-from climber.graph import StanceGraph, build_stance_graph
+from climber.graph import build_stance_graph
 from climber.poses import Rotations, find_poses
 from climber.programs.support import hold_set_intervals
 from climber.scenario_fields import CostWeights
 from climber.stance import Stance
+from climber.stance_graph import StanceGraph
 from climber.wall import Hold, Wall
 from climber.wall_kinds import KINDS, make_wall
 

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from climber.graph import StanceGraph, build_stance_graph
+from climber.graph import build_stance_graph
 from climber.scenario_fields import CostWeights
 from climber.stance import Stance, Vector
+from climber.stance_graph import StanceGraph
 from climber.wall import Hold, Wall
 
 WALLS = Path(__file__).parent / "walls"

@@ -15,7 +15,7 @@ from shapely.geometry.base import BaseGeometry
 
 from climber.demands import Demands
 from climber.exceptions import NoPlanFound
-from climber.graph import StanceGraph, build_stance_graph
+from climber.graph import build_stance_graph
 from climber.improve import Improver, Progress
 from climber.lessons import Lessons, OnFailure
 from climber.manifold import Body, Margins
@@ -30,6 +30,7 @@ from climber.regrasp import rigid, with_regrasps
 from climber.robot import Model, Robot
 from climber.scenario import Place, Scenario, check_against_robot
 from climber.stance import Move, Stance
+from climber.stance_graph import StanceGraph
 from climber.start import start_postures
 from climber.task import Impossible, OutOfTime, RobotTask, TaskPlan, TaskPlanner, Walk
 from climber.transition import Failure

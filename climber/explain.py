@@ -19,7 +19,6 @@ from climber.exceptions import NoPlanFound
 from climber.explanation import Answer, Explanation, Missing
 from climber.frontier import FrontierFinder
 from climber.geometry import Mask
-from climber.graph import StanceGraph
 from climber.plan_parts import Cut
 from climber.prune import out_of_reach
 from climber.reachable import UNREACHED, Reached, RelaxedClimb, Target
@@ -27,6 +26,7 @@ from climber.relaxed import Check, RelaxedChecks
 from climber.scenario import Scenario
 from climber.scenario_fields import HoldSpec
 from climber.stance import Move, Stance
+from climber.stance_graph import StanceGraph
 
 SECONDS = 10.0  # [s] for trying changes, unless told
 

@@ -14,11 +14,11 @@ from typing import Literal
 
 import numpy as np
 
-from climber.graph import StanceGraph
 from climber.motion import DeadEnd, EmptyPiece
 from climber.pieces import REST, Choice
 from climber.plan_parts import Cut
 from climber.stance import Move, Stance, Vector
+from climber.stance_graph import StanceGraph
 from climber.states import Integers
 from climber.task import TaskPlanner, Walk
 from climber.transitions import MoveFailure

@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from climber.geometry import CHUNK, TOUCH, Mask, common_points, disks_meet
-from climber.graph import StanceGraph
 from climber.holdsets import Ints, Places
 from climber.prune_balance import MassBounds, transition_intervals
 from climber.robot import Robot
 from climber.stance import Vector
+from climber.stance_graph import StanceGraph
 from climber.wall import Wall
 
 CELLS = 8  # that a full turn is first cut into

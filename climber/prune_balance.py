@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from climber.exceptions import ModelError
-from climber.graph import StanceGraph
 from climber.kinematics import Kinematics
 from climber.programs.support import BALANCE
 from climber.robot import Indices, Robot
 from climber.stance import Vector
+from climber.stance_graph import StanceGraph
 from climber.wall import Wall
 
 NEWTON_STEPS = 4  # each leaves a valid bound; the last ones change little

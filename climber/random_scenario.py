@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from climber.exceptions import ClimberError
-from climber.graph import StanceGraph, build_stance_graph
+from climber.graph import build_stance_graph
 from climber.holdsets import Ints
 from climber.manifold import Body
 from climber.poses import Rotations, find_poses
@@ -24,6 +24,7 @@ from climber.robot import Model, Robot
 from climber.scenario_fields import CostWeights
 from climber.scenario_shapes import CircleSpec, RegionSpec
 from climber.stance import Contact, Stance, Vector
+from climber.stance_graph import StanceGraph
 from climber.transition import Postures
 from climber.transitions import TransitionFinder
 from climber.wall_kinds import facet_specs, hold_specs, make_wall, off_problem

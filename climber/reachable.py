@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from climber.geometry import Mask
-from climber.graph import StanceGraph, build_stance_graph
+from climber.graph import build_stance_graph
 from climber.holdsets import Ints
 from climber.prune import impossible_moves
 from climber.robot import Model, Robot
@@ -23,6 +23,7 @@ from climber.scenario import Scenario, check_against_robot
 from climber.scenario_fields import CostWeights, Place
 from climber.solids import Region
 from climber.stance import Stance
+from climber.stance_graph import StanceGraph
 from climber.wall import Wall
 
 UNREACHED = -1

@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from climber.graph import StanceGraph
 from climber.manifold import Body
 from climber.moves import Setting, Supports, Weights, overlap
+from climber.stance_graph import StanceGraph
 
 
 def rigid(body: Body) -> bool:

@@ -19,7 +19,6 @@ from climber.explain import explain_climb, explain_failure
 from climber.explain_move import explain_move
 from climber.explanation import Explanation
 from climber.frontier import FrontierFinder
-from climber.graph import StanceGraph
 from climber.move_question import MoveQuestion
 from climber.plan import plan_climb
 from climber.plan_parts import Cut
@@ -28,6 +27,7 @@ from climber.reachable import RelaxedClimb
 from climber.robot import Robot
 from climber.scenario import CircleSpec, Place, RegionSpec, Scenario, load_scenario, scenario_from_text
 from climber.stance import Move, Stance
+from climber.stance_graph import StanceGraph
 
 BASIC = load_scenario("basic").source
 GAP = BASIC.replace("[0.407017, -0.014286]", "[0.407017, -9.0]")  # hold 4 out of the way

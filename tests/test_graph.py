@@ -16,12 +16,13 @@ from scipy.optimize import linprog
 from shapely.geometry import Point, Polygon, box
 
 from climber.exceptions import ClimberError
-from climber.graph import StanceGraph, build_stance_graph
+from climber.graph import build_stance_graph
 from climber.programs.equilibrium import SupportProgram
 from climber.programs.forces import wall_forces, weight_in_plane
 from climber.programs.support import hold_set_intervals
 from climber.scenario_fields import CostWeights
 from climber.stance import Stance
+from climber.stance_graph import StanceGraph
 from climber.wall import GRIPS, Wall
 
 

@@ -12,7 +12,7 @@ from problems import QUADRUPED, DiskRobot, random_wall, thesis_wall
 
 from climber.balls import balls_meet
 from climber.exceptions import ClimberError
-from climber.graph import StanceGraph, build_stance_graph
+from climber.graph import build_stance_graph
 from climber.kinematics import Kinematics
 from climber.polygon import in_order
 from climber.poses import Rotations, find_poses
@@ -22,6 +22,7 @@ from climber.robot import Robot
 from climber.scenario import CostWeights
 from climber.solids import Box, Sphere, triple
 from climber.stance import Stance
+from climber.stance_graph import StanceGraph
 from climber.wall import Hold, Wall
 from climber.wall_kinds import KINDS, make_wall
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from climber.balance import Region
-from climber.graph import StanceGraph, build_stance_graph
+from climber.graph import build_stance_graph
 from climber.manifold import Body, Manifold, Margins
 from climber.prune import distances, impossible_moves, out_of_reach
 from climber.prune_balance import MassBounds, transition_intervals
@@ -20,6 +20,7 @@ from climber.random_wall import Recipe
 from climber.robot import Robot
 from climber.scenario import load_scenario
 from climber.stance import Contact, Stance
+from climber.stance_graph import StanceGraph
 from climber.transition import PostureSampler, find_transition, support_of
 from climber.wall import Hold, Wall
 from climber.wall_command import MODEL

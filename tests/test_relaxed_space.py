@@ -11,13 +11,14 @@ from problems import DiskRobot
 
 from climber.balls import balls_meet
 from climber.explain import explain_climb
-from climber.graph import StanceGraph, build_stance_graph
+from climber.graph import build_stance_graph
 from climber.poses import Rotations, find_poses
 from climber.programs.forces import wall_forces
 from climber.relaxed import RelaxedChecks
 from climber.scenario import CostWeights, scenario_from_text
 from climber.solids import Sphere
 from climber.stance import Move, Stance
+from climber.stance_graph import StanceGraph
 from climber.wall import Wall
 from climber.wall_kinds import KINDS, make_wall
 
