@@ -16,6 +16,7 @@ from climber.manifold import AnyChart, Manifold
 from climber.stance import Vector
 
 DEGREE = 5  # accelerations change smoothly, not only continuously
+MOST = 384  # control points of a curve through the corners of a polyline
 RESOLUTION = 0.02  # [rad] distance in joint space between the places where a curve is checked
 
 
@@ -134,8 +135,6 @@ def smooth(
     chart: AnyChart,
     u: Vector,
     num_control: int = 12,
-    most: int = 384,
-    resolution: float = RESOLUTION,
 ) -> Curve | None:
     """The feasible polyline `u` as a feasible curve near it, no longer than it.
 
@@ -143,21 +142,20 @@ def smooth(
         manifold: What makes a configuration feasible.
         chart: The chart that `u` is in.
         u: Corners of the polyline, shape (M, num_coordinates), M at least 2.
-        num_control: Control points to begin with; they are doubled until the curve is feasible.
-        most: Control points allowed.
-        resolution: How finely the curve is checked [rad].
+        num_control: Control points to begin with; they are doubled until the curve is feasible, or there
+            would be more than `MOST`.
 
     Returns:
         The curve, or None if the polyline is not feasible itself when looked at this finely.
     """
     if len(u) == 2:
         curve = rounded(chart, u, DEGREE + 1)
-        return curve if curve.feasible(manifold, resolution) else None
+        return curve if curve.feasible(manifold) else None
     longest = float(polyline_lengths(chart, u).sum()) + 1e-9  # [rad] rounding
-    while num_control <= most:
+    while num_control <= MOST:
         curve = rounded(chart, u, num_control)
         # Around a corner the chart is as good as flat, so that fine enough a curve is shorter.
-        if curve.length <= longest and curve.feasible(manifold, resolution):
+        if curve.length <= longest and curve.feasible(manifold):
             return curve
         num_control *= 2
     return None

@@ -24,9 +24,9 @@ def box(color: str, alpha: float = 1.0, stroke: str | None = None) -> Sign:
     return lambda canvas, at: canvas.polygon(at + corners, color, alpha, stroke=stroke, width=1.2)
 
 
-def bar(color: str, width: float, dash: float | None = None) -> Sign:
+def bar(color: str, width: float) -> Sign:
     """A short line."""
-    return lambda canvas, at: canvas.line(at + np.array([[-8.0, 0.0], [8.0, 0.0]]), color, width, dash=dash)
+    return lambda canvas, at: canvas.line(at + np.array([[-8.0, 0.0], [8.0, 0.0]]), color, width)
 
 
 def ring(color: str, width: float = 2.5) -> Sign:

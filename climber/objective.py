@@ -34,6 +34,7 @@ KINDS: tuple[ObjectiveKind, ...] = get_args(ObjectiveKind)
 FLIP = 4.0  # what an elbow flip counts as, in joint-space length [rad]
 PELVIS = 1.0  # [m/s, rad/s] rate at which the pelvis's own positions are taken to change at most
 LITTLE = 0.05  # [1/rad] weight of length beside the logarithm of a margin
+SHORTEST = 1e-3  # [rad, s] a step below this counts as this where slopes are taken
 LEAST = 1e-4  # [m] a distance from the support's ends below this counts as this
 
 
@@ -54,14 +55,14 @@ class Norm:
         result: Vector = (np.abs(self.scale * d) ** self.power).sum(axis=-1) ** (1.0 / self.power)
         return result
 
-    def model(self, d: Vector, least: float = 1e-3) -> tuple[Vector, Vector]:
+    def model(self, d: Vector) -> tuple[Vector, Vector]:
         """Gradient (K, nq) and a Hessian (K, nq, nq) of the norm at differences d, shape (K, nq).
 
         The Hessian is that of half the norm's square, over the norm: for p = 2 the resulting quadratic is nowhere less
-        than the norm, so that steps which lower it lower the norm. Norms below `least` count as that much.
+        than the norm, so that steps which lower it lower the norm. Norms below `SHORTEST` count as that much.
         """
         x, p = self.scale * d, self.power
-        size = np.maximum(self(d), least)[:, None]
+        size = np.maximum(self(d), SHORTEST)[:, None]
         share = np.abs(x) / size
         gradient = self.scale * np.sign(x) * share ** (p - 1)
         diagonal = (p - 1) * self.scale**2 * share ** (p - 2) / size

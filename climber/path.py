@@ -78,7 +78,7 @@ def _without_inverse(
     return None if u is None else [shortened(manifold, Leg(chart, u), rng, search)]
 
 
-def direct(manifold: Manifold, a: Vector, b: Vector, search: Search | None = None) -> bool:
+def direct(manifold: Manifold, a: Vector, b: Vector) -> bool:
     """Whether the straight line in one chart joins two feasible configurations: the most that is cheap to find out."""
     b = unwound(b, a, manifold.body.robot.angle_q)
     turning = flips(manifold, a, b)
@@ -86,7 +86,7 @@ def direct(manifold: Manifold, a: Vector, b: Vector, search: Search | None = Non
         return False
     chart = manifold.chart(a, turning[0] if turning else None)
     start = chart.coordinates(a)
-    return any(clear(manifold, chart, start, end, search) for end in chart.turns(chart.coordinates(b)))
+    return any(clear(manifold, chart, start, end) for end in chart.turns(chart.coordinates(b)))
 
 
 def flips(manifold: Manifold, a: Vector, b: Vector) -> tuple[int, ...]:

@@ -75,7 +75,7 @@ def arrow(canvas: Canvas, tail: Vector, head: Vector, color: str, width: float) 
     canvas.polygon([head, neck + 0.5 * tip * across, neck - 0.5 * tip * across], color)
 
 
-def wedge(hold: Hold, length: float = CONE_LENGTH) -> Vector:
+def wedge(hold: Hold) -> Vector:
     """Outline of the directions a hold can push in, in the wall plane [m], shape (n, 2).
 
     A sector of half-angle atan(friction) about the normal; a disk for a pin, which pushes and pulls every way, and for
@@ -84,10 +84,10 @@ def wedge(hold: Hold, length: float = CONE_LENGTH) -> Vector:
     center, normal = np.array(hold.position[:2]), np.array(hold.normal[:2])
     if hold.grip == "pin" or np.linalg.norm(normal) < 0.1:
         angles = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
-        return np.asarray(center + 0.45 * length * np.column_stack([np.cos(angles), np.sin(angles)]))
+        return np.asarray(center + 0.45 * CONE_LENGTH * np.column_stack([np.cos(angles), np.sin(angles)]))
     middle, half = np.arctan2(normal[1], normal[0]), np.arctan(hold.friction)
     angles = np.linspace(middle - half, middle + half, 16)
-    return np.vstack([center, center + length * np.column_stack([np.cos(angles), np.sin(angles)])])
+    return np.vstack([center, center + CONE_LENGTH * np.column_stack([np.cos(angles), np.sin(angles)])])
 
 
 def rock(hold: Hold, tangent: Vector) -> Vector:

@@ -10,6 +10,8 @@ from climber.explanation import Answer, Missing
 from climber.reachable import Target
 from climber.words import length, listed, spoken
 
+MOST = 3  # blocked moves that are told
+
 
 def verdict(answer: Answer, missed: Sequence[Target], moves: int | None, in_order: bool) -> str:
     """The first sentence: what cannot be reached, and how sure that is.
@@ -41,17 +43,14 @@ def verdict(answer: Answer, missed: Sequence[Target], moves: int | None, in_orde
     )
 
 
-def frontier_told(
-    frontier: Frontier, target: Target, limbs: tuple[str, ...], onwards: bool = True, most: int = 3
-) -> list[str]:
+def frontier_told(frontier: Frontier, target: Target, limbs: tuple[str, ...], onwards: bool = True) -> list[str]:
     """The frontier in sentences.
 
     Args:
         frontier: The frontier.
         target: Towards what.
         limbs: Names of the limbs.
-        onwards: Whether to tell what blocks the moves that would lead on.
-        most: How many of them at most, no two to the same hold.
+        onwards: Whether to tell what blocks the moves that would lead on, `MOST` of them, no two to the same hold.
     """
     on = on_holds(frontier.stances[0])
     stances = f"{frontier.reached} stance{'s' if frontier.reached != 1 else ''}"
@@ -67,7 +66,7 @@ def frontier_told(
         lines.append(f"From the stances nearest to {target.name} no hold that is left to take leads nearer.")
     seen: set[int] = set()
     for blocked in frontier.blocked:
-        if blocked.move.hold not in seen and len(seen) < most:
+        if blocked.move.hold not in seen and len(seen) < MOST:
             seen.add(blocked.move.hold)
             lines.append(f"Onwards from there or nearby: {blocked.sentence(limbs)}.")
     return lines
