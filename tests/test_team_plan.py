@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 import shapely
 
+from climber.crowding import Crowding
 from climber.plan import plan_climb
 from climber.plan_file import Plan
 from climber.scenario import Scenario, load_scenario, scenario_from_text
 from climber.task import TaskPlan, TaskPlanner, Walk
-from climber.team_plan import Crowding, Recorder, TeamSearch, without_waits
+from climber.team_plan import Recorder, TeamSearch, without_waits
 from climber.verify import verify
 
 APART = 3.0  # [m] between the wall of scenario `basic` and its copy
