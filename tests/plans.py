@@ -11,8 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import cvxpy
 import numpy as np
@@ -37,8 +38,8 @@ class Ground:
     """Holds to stand on, all alike but for where they are and how they lean.
 
     Attributes:
-        positions: Centres of the patches [m], shape (num_holds, 2).
-        normals: Outward normals of any length, shape (num_holds, 2).
+        positions: Centres of the patches [m], shape (num_holds, d).
+        normals: Outward normals of any length, shape (num_holds, d).
         friction: Coulomb coefficient.
         min_force: Least force along a cone edge [N].
         max_force: Greatest force along a cone edge [N].
@@ -50,19 +51,26 @@ class Ground:
     min_force: float = 1.0
     max_force: float = 20.0
 
+    model: ClassVar[str] = QUADRUPED
+    inclination_deg: ClassVar[float] = 90.0
+    facets: ClassVar[str] = ""
+    obstacles: ClassVar[str] = """\
+  - circle: {center: [0.0, 0.16], radius: 0.02}
+  - polygon: {vertices: [[0.26, -0.1], [0.40, -0.1], [0.40, 0.1], [0.33, 0.0]]}
+"""
+
     @property
-    def edges(self) -> Vector:
-        """Cone edges of every hold as columns, shape (num_holds, 2, 2)."""
-        half = np.arctan(self.friction)
-        turn = np.array([[np.cos(half), -np.sin(half)], [np.sin(half), np.cos(half)]])
-        normals = self.normals / np.linalg.norm(self.normals, axis=1, keepdims=True)
-        return np.stack([normals @ turn.T, normals @ turn], axis=2)
+    def units(self) -> Vector:
+        """Unit normals, shape (num_holds, d)."""
+        return self.normals / np.linalg.norm(self.normals, axis=1, keepdims=True)
 
     def room(self, forces: Sequence[cvxpy.Variable], holds: Sequence[int], room: cvxpy.Variable) -> list[object]:
         """Constraints: forces along the edges are between the least and the greatest one, with `room` [N] to both."""
+        half = np.arctan(self.friction)
+        turn = np.array([[np.cos(half), -np.sin(half)], [np.sin(half), np.cos(half)]])
         inside: list[object] = []
-        for f, edges in zip(forces, self.edges[list(holds)], strict=True):
-            t = np.linalg.inv(edges) @ f
+        for f, normal in zip(forces, self.units[list(holds)], strict=True):
+            t = np.linalg.inv(np.column_stack([turn @ normal, turn.T @ normal])) @ f
             inside += [t >= self.min_force + room, t <= self.max_force - room]
         return inside
 
@@ -75,16 +83,14 @@ class Ground:
 name: {name}
 seed: 7
 wall:
-  inclination_deg: 90.0
+  inclination_deg: {self.inclination_deg}
   hold_defaults: {{half_width: 0.01, {limits}}}
-  holds:
+{self.facets}  holds:
 {holds}
   obstacles:
-  - circle: {{center: [0.0, 0.16], radius: 0.02}}
-  - polygon: {{vertices: [[0.26, -0.1], [0.40, -0.1], [0.40, 0.1], [0.33, 0.0]]}}
-robots:
-- name: quadruped
-  model: {QUADRUPED}
+{self.obstacles}robots:
+- name: {Path(self.model).stem}
+  model: {self.model}
   start: {{right_front: 0, left_front: 1, left_rear: 2, right_rear: 3}}
 {robot}"""
 

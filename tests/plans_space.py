@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import ClassVar
 
 import cvxpy
 import numpy as np
 from movers import Climber, step_phases
-from plans import written
+from plans import Ground, written
 
 from climber.plan_file import Plan
 from climber.robot import Model, Robot
-from climber.stance import Vector
 from climber.wall import Wall
 
 LEMUR = "package://climber/lemur/lemur.urdf"
@@ -25,29 +25,23 @@ KNEES_UP = (-0.5, 0.9, 0.7, 0.5, -0.9, 0.7, -0.5, 0.9, 0.7, 0.5, -0.9, 0.7)
 
 
 @dataclass(frozen=True)
-class Rock:
-    """Holds that stick out of a wall in space, all alike but for where they are and how they lean.
+class Rock(Ground):
+    """Holds that stick out of a wall in space."""
 
-    Attributes:
-        positions: Centres of the patches [m], shape (num_holds, 3).
-        normals: Outward normals of any length, shape (num_holds, 3).
-        inclination_deg: Of the wall.
-        friction: Coulomb coefficient.
-        min_force: Least force along a cone edge [N].
-        max_force: Greatest force along a cone edge [N].
-    """
-
-    positions: Vector
-    normals: Vector
-    inclination_deg: float = 100.0
     friction: float = 0.7
     min_force: float = 0.5
     max_force: float = 60.0
 
-    @property
-    def units(self) -> Vector:
-        """Unit normals, shape (num_holds, 3)."""
-        return self.normals / np.linalg.norm(self.normals, axis=1, keepdims=True)
+    model: ClassVar[str] = LEMUR
+    inclination_deg: ClassVar[float] = 100.0
+    facets: ClassVar[str] = """\
+  facets:
+  - corners: [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]
+"""
+    obstacles: ClassVar[str] = """\
+  - sphere: {center: [0.0, 0.22, 0.2], radius: 0.05}
+  - polygon: {vertices: [[0.5, -0.3], [0.7, -0.3], [0.7, 0.3], [0.6, 0.0]]}
+"""
 
     def room(self, forces: Sequence[cvxpy.Variable], holds: Sequence[int], room: cvxpy.Variable) -> list[object]:
         """Constraints: forces are within the two cones of their holds, with `room` [N] to the apexes of both.
@@ -62,30 +56,6 @@ class Rock:
             across = cvxpy.norm(f - n * (n @ f))
             inside += [across <= self.friction * (n @ f - low - room), across <= self.friction * (high - room - n @ f)]
         return inside
-
-    def scenario(self, name: str, robot: str) -> str:
-        """The text of a scenario on this wall, with what it says of its robot."""
-        places = zip(self.positions.tolist(), self.normals.tolist(), strict=True)
-        holds = "\n".join(f"  - {{position: {position}, normal: {normal}}}" for position, normal in places)
-        limits = f"min_force: {self.min_force}, max_force: {self.max_force}, friction: {self.friction}"
-        return f"""\
-name: {name}
-seed: 7
-wall:
-  inclination_deg: {self.inclination_deg}
-  hold_defaults: {{half_width: 0.01, {limits}}}
-  facets:
-  - corners: [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]
-  holds:
-{holds}
-  obstacles:
-  - sphere: {{center: [0.0, 0.22, 0.2], radius: 0.05}}
-  - polygon: {{vertices: [[0.5, -0.3], [0.7, -0.3], [0.7, 0.3], [0.6, 0.0]]}}
-robots:
-- name: lemur
-  model: {LEMUR}
-  start: {{right_front: 0, left_front: 1, left_rear: 2, right_rear: 3}}
-{robot}"""
 
 
 INCUT = Rock(
