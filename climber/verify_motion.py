@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -262,7 +263,8 @@ def drift(samples: Sampled, rates: tuple[Vector, Vector] | None = None) -> tuple
     |a_0 - 2 a_1 + a_2|. If a also has a kink between samples (a piecewise linear acceleration), the error is at most
     5/12 h times the greatest bend of the step and of two steps to either side, which is attained where the kink
     cancels the curve; and that is still below the h (or, at the ends, h/2) times the bend by which a single wrong
-    sample of a is off. Acceleration that jumps within a phase is not allowed.
+    sample of a is off. Acceleration that jumps within a phase is not allowed. Where the robot stands still, with no
+    acceleration, the motion ends and another may begin, with its own step and bends: each is judged by itself.
 
     Likewise q1 - q0 - h/2 (q0' + q1') + h^2/12 (q1'' - q0''), the trapezium rule with its end correction, is at most
     0.016 h^2 times the bend of q'' for a kink and of higher order for smooth motion. The angles of a floating base are
@@ -279,11 +281,21 @@ def drift(samples: Sampled, rates: tuple[Vector, Vector] | None = None) -> tuple
     h = np.diff(samples.time)[:, None]
     q, v, a = samples.q, samples.v, samples.vd
     first, second = (v, a) if rates is None else rates
+    still = np.logical_not(v.any(axis=1) | a.any(axis=1))
     of_velocity = np.diff(v, axis=0) - h / 2 * (a[:-1] + a[1:])
     of_position = np.diff(q, axis=0) - h / 2 * (first[:-1] + first[1:]) + h**2 / 12 * np.diff(second, axis=0)
-    position = np.abs(of_position) / (KINKS_IN_POSITION * h**2 * _bend(second) + SLACK * h)
-    velocity = np.abs(of_velocity) / (KINKS_IN_VELOCITY * h * _bend(a) + SLACK)
+    position = np.abs(of_position) / (KINKS_IN_POSITION * h**2 * _bends(second, still) + SLACK * h)
+    velocity = np.abs(of_velocity) / (KINKS_IN_VELOCITY * h * _bends(a, still) + SLACK)
     return position, velocity
+
+
+def _bends(a: Vector, still: NDArray[np.bool_]) -> Vector:
+    """How much accelerations (N, n) bend over each step, from one standstill, (N,), to the next; (N - 1, n)."""
+    result = np.zeros((len(a) - 1, a.shape[1]))
+    ends = np.unique([0, *np.flatnonzero(still), len(a) - 1])
+    for begin, end in itertools.pairwise(ends):
+        result[begin:end] = _bend(a[begin : end + 1])
+    return result
 
 
 def _bend(a: Vector) -> Vector:

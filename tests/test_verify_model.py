@@ -317,6 +317,28 @@ def test_smooth_and_kinked_motions_pass_as_their_own_derivatives_and_one_wrong_s
     assert drift(motion(time, wrong, v, vd))[0].max() > 1.0
 
 
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_motions_that_meet_in_a_standstill_are_judged_each_by_itself_whatever_their_steps(seed: int) -> None:
+    """As shifts on one stance are, that are one phase of the plan."""
+    rng = np.random.default_rng(seed)
+    series: list[Vector] = []
+    errors: list[tuple[Vector, Vector]] = []
+    begin = np.zeros(2)
+    for far in (rng.normal(), 0.0, rng.normal()):
+        u, lasts = np.linspace(0.0, 1.0, int(rng.integers(10, 80))), 10.0 ** rng.uniform(-2.0, 1.0)
+        q = far * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        v = far * 30.0 * u**2 * (1.0 - u) ** 2 / lasts
+        vd = far * 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / lasts**2
+        part = np.array([begin[0] + lasts * u, begin[1] + q, v, vd])
+        errors.append(drift(motion(*part)))
+        series.append(part if not series else part[:, 1:])
+        begin = part[:2, -1]
+    together = drift(motion(*np.concatenate(series, axis=1)))
+    for whole, *parts in zip(together, *errors, strict=True):
+        np.testing.assert_allclose(whole, np.concatenate(parts), rtol=1e-6, atol=1e-6)
+
+
 def test_two_samples_make_a_phase() -> None:
     still = np.zeros(2)
     for part in drift(motion(np.array([0.0, 0.01]), still, still, still)):
