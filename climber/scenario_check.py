@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _SMALLEST_NORMAL = 1e-9
 _SMALLEST_AREA = 1e-12  # [m^2]
 _SMALLEST_DEPTH = 1e-6  # [m]
+_IN_PLANE = 1e-9  # [m, and 1 for unit normals] of holds for planar robots
 _FLAT = 1e-6  # [m] corners of a facet are written with so many decimals
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _MODELS = (".urdf", ".sdf", ".xml")
@@ -77,7 +78,8 @@ def check_against_robot(
 
     Raises:
         ScenarioError: If a limb or joint is unknown, a limb has no hold, a demand on holds has not one for every
-            limb, a joint angle is outside its limits, or a planar robot is given a region of space.
+            limb, a joint angle is outside its limits, or a planar robot is given a region of space or a
+            hold that leaves its plane.
     """
     robot, path = scenario.robots[robot_index], f"robots[{robot_index}]"
     _check_limbs(scenario, robot.start, f"{path}.start", limb_names)
@@ -113,6 +115,12 @@ def _check_in_plane(scenario: Scenario, robot: RobotSpec, path: str) -> None:
         if region.solid is not None:
             shape = next(name for name in ("sphere", "box", "cylinder", "convex") if getattr(region, name) is not None)
             raise scenario.error(where, shape, f"circle or polygon, for {robot.name} moves in the wall plane only")
+    for number, spec in enumerate(scenario.wall.holds):
+        hold, inside = spec.build(scenario.wall.hold_defaults), f"z = 0, for {robot.name} moves in the plane z = 0 only"
+        if abs(hold.position[2]) > _IN_PLANE:
+            raise scenario.error(f"wall.holds[{number}].position", spec.position, f"a place with {inside}")
+        if hold.grip != "pin" and abs(hold.normal[2]) > _IN_PLANE:  # a pin gives forces all around
+            raise scenario.error(f"wall.holds[{number}].normal", spec.normal, f"a normal with {inside}")
     for number, facet in enumerate(scenario.wall.facets):
         if max(corner[2] for corner in facet.corners) > 0.0:
             allowed = f"corners with z no greater than 0, for {robot.name} moves in the plane z = 0 before it"

@@ -20,7 +20,7 @@ from climber.verify_margins import MarginChecks
 from climber.verify_model import Tree
 from climber.verify_motion import MotionChecks
 from climber.verify_objective import ObjectiveChecks
-from climber.verify_rules import LENGTH, RULES
+from climber.verify_rules import RULES
 from climber.verify_structure import StructureChecks
 from climber.verify_team import TeamChecks
 from climber.verify_timing import TimingChecks
@@ -97,6 +97,4 @@ def _robot(scenario: Scenario, number: int, plan: RobotPlan, wall: Wall, source:
     for where, hold in used.items():
         if hold >= count:
             raise PlanFileError(f"{at}.{where}: the wall has {count} holds, numbered from 0 (given: {hold})")
-        if robot.planar and abs(wall.normals[hold][2]) > LENGTH:
-            raise PlanFileError(f"{at}.{where}: hold {hold} leans out of the plane in which {plan.name} moves")
     return robot

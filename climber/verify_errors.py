@@ -18,7 +18,7 @@ from climber.verify_rules import MARGIN
 from climber.verify_survival import Give, Need
 from climber.wall import Wall
 
-SPARSE = 10  # a hold's place is tried at one sample in so many, between which forces are interpolated at first
+SPARSE = 10  # a hold's place is tried at one sample in so many; between them forces are interpolated at first
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,9 @@ class PhaseNeeds:
         self.effort = np.minimum(robot.effort[motors], 1e6)
         self._columns = self._placed(mechanics.columns[span][:, self._limbs])
         self.time, self.count = phase.time, len(phase.time)
-        self.knots = np.unique(np.linspace(0, self.count - 1, 2 + self.count // SPARSE).astype(int))
+        sparse = np.linspace(0, self.count - 1, 2 + self.count // SPARSE).astype(int)
+        told = np.abs(phase.time - phase.margins["place"].time).argmin()  # the instant named as the worst
+        self.knots = np.unique([*sparse, told])
         self.levers: tuple[Vector, Vector] = (np.zeros(0), np.zeros(0))
         self._inverse = np.linalg.pinv(self._columns[:, self._free])
 

@@ -140,16 +140,23 @@ class MarginChecks:
             elif kind == "mass":
                 yield from (Error(kind, size, sign * gravity) for sign in (1.0, -1.0))
             elif kind in ("push", "center"):
-                named = phase.margins[kind].direction
-                told = [] if named is None else [np.array(named) / max(float(np.linalg.norm(named)), 1e-9)]
-                yield from (Error(kind, size, direction) for direction in [*around, *told])
+                named = self._named(phase.margins[kind])
+                yield from (Error(kind, size, direction) for direction in [*around, *named])
             else:
                 for i, contact in enumerate(phase.contacts):
                     normal = self._wall.normals[contact.hold]
                     axes = self._around(normal) if kind == "normal" else around
                     if kind == "normal" and self._planar:
                         axes = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+                    if contact.limb == phase.margins[kind].limb:
+                        axes = np.array([*axes, *self._named(phase.margins[kind])])
                     yield from (Error(kind, size, axis, i) for axis in axes)
+
+    def _named(self, margin: PhaseMargin) -> list[Vector]:
+        """The unit direction that a margin names as the worst, if it names one."""
+        if margin.direction is None:
+            return []
+        return [np.array(margin.direction) / max(float(np.linalg.norm(margin.direction)), 1e-9)]
 
     def _around(self, normal: Vector) -> Vector:
         """Unit vectors across `normal`, and for robots in space along it if it is z, shape (D, 3)."""

@@ -41,7 +41,7 @@ BASE: dict[str, Any] = {
         "hold_defaults": {"min_force": 1.0},
         "holds": [
             {"position": [0.0, 0.0], "normal": [0.0, 2.0], "friction": 0.5},
-            {"position": [0.1, 0.0, 0.02], "normal": [0.0, 3.0, 4.0]},
+            {"position": [0.1, 0.0], "normal": [3.0, 4.0]},
             {"position": [0.2, 0.0], "normal": [0.0, 1.0], "grip": "pin", "max_force": 0.5},
             {"position": [0.3, 0.0], "normal": [0.0, 1.0], "grip": "magnet", "adhesion": 7.0, "half_width": 0.0},
             {"position": [0.4, 0.0], "normal": [0.0, 1.0]},
@@ -134,7 +134,7 @@ def test_default_moment_is_of_pins_only() -> None:
 
 
 def test_normals_are_normalised_and_positions_completed() -> None:
-    wall = load(BASE).build_wall()
+    wall = load(edited(("wall", "holds", 1), {"position": [0.1, 0.0, 0.02], "normal": [0.0, 3.0, 4.0]})).build_wall()
     np.testing.assert_allclose(np.linalg.norm(wall.normals, axis=1), 1.0, atol=1e-15)
     np.testing.assert_allclose(wall.normals[1], [0.0, 0.6, 0.8])
     np.testing.assert_allclose(wall.positions[:2], [[0.0, 0.0, 0.0], [0.1, 0.0, 0.02]])
@@ -620,6 +620,20 @@ def test_a_planar_robot_has_nothing_to_do_with_regions_of_space() -> None:
         assert error.path == field
         assert "given 'sphere'; allowed: circle or polygon, for quadruped" in str(error)
         check_against_robot(load(edited(path, ball)), 0, LIMBS, LIMITS, planar=False)
+
+
+def test_a_planar_robot_stands_on_holds_in_its_plane() -> None:
+    hold = ("wall", "holds", 1)
+    for field, value in (("position", [0.1, 0.2, 0.03]), ("normal", [0.0, 1.0, 0.2])):
+        error = against_robot(edited((*hold, field), value))
+        assert error.path == f"wall.holds[1].{field}"
+        assert "with z = 0, for quadruped moves in the plane z = 0 only" in str(error)
+        check_against_robot(load(edited((*hold, field), value)), 0, LIMBS, LIMITS, planar=False)
+
+
+def test_a_pin_may_stick_out_of_the_wall_whoever_hangs_on_it() -> None:
+    pin = {"position": [0.1, 0.2], "normal": [0.0, 0.0, 1.0], "grip": "pin"}
+    check_against_robot(load(edited(("wall", "holds", 1), pin)), 0, LIMBS, LIMITS)
 
 
 def test_a_planar_robot_moves_in_front_of_every_facet() -> None:

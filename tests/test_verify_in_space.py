@@ -13,6 +13,7 @@ from plans import LIMBS, PHASE, QUADRUPED, edited, failing, plus, retold, step_p
 from plans_space import LEMUR, climb_plan
 
 from climber.exceptions import ModelError, PlanFileError
+from climber.plan_file import Plan
 from climber.plan_parts import RobotPlan
 from climber.resources import resolve_model
 from climber.robot import Model, Robot
@@ -72,6 +73,16 @@ def test_forces_that_holds_do_not_give_are_found(checks: set[str], old: str, new
     assert failing(with_margins(retold(climb_plan(), old, new)).to_json()) == checks
 
 
+def test_errors_are_tried_in_the_direction_that_is_named_too() -> None:
+    """It is that of the worst case, between the directions all around."""
+    normal = f"{PHASE}/1/margins/normal"
+    too_much = Plan.from_json(edited(climb_plan(), f"{normal}/value", lambda value: 1.1 * value), "plan")
+    elsewhere = Plan.from_json(edited(too_much, f"{normal}/direction", lambda axis: [-a for a in axis]), "plan")
+    named, others = (verify(plan)["margins"].worst for plan in (too_much, elsewhere))
+    assert named is not None and others is not None
+    assert named > 1.2 * others
+
+
 NUMBERS = st.one_of(
     st.tuples(st.just("q"), st.integers(0, 160), st.integers(0, 17), st.just(0.01)),
     st.tuples(st.just("v"), st.integers(0, 160), st.integers(0, 17), st.just(0.01)),
@@ -119,7 +130,7 @@ def test_robots_in_space_keep_apart(x: float, found: set[str]) -> None:
 
 def test_a_planar_robot_needs_holds_that_face_along_its_plane() -> None:
     plan = retold(step_plan(), "normal: [-0.1, 1.0]", "normal: [-0.1, 1.0, 0.1]")
-    with pytest.raises(PlanFileError, match=r"stances\[0\]\.right_front: hold 0 leans out of the plane"):
+    with pytest.raises(PlanFileError, match=r"wall.holds\[0\].normal: given .* a normal with z = 0"):
         verify(plan)
 
 
