@@ -210,7 +210,7 @@ def _solve(options: argparse.Namespace) -> int:
             console.print(f"  {robot.objective.kind} {last:.4g}{better}", markup=False)
         for limbs in _told(robot.stances):
             console.print(f"  {limbs}", style="dim", markup=False)
-        console.print(margin_table(robot))
+        console.print(margin_table(robot, console.width))
     console.print(f"wrote {', '.join(str(path) for path in written)}")
     return OK
 

@@ -207,7 +207,7 @@ class _Told:
             who = (
                 "The planner has no plan for the team" if self.alone else "The planner gave up before it had tried all"
             )
-            lines.append(f"{who}: {telling.sentence(str(failure))}")
+            lines.append(f"{who}: {_reason(self.scenario, failure)}.")
         return Explanation(
             "climb", self.name, self.limbs, moves, moves_possible=less.moves, sentences=(*lines, *self.alone)
         )
@@ -267,7 +267,7 @@ class _Told:
 
 
 def explain_failure(failure: NoPlanFound, seconds: float = 0.0) -> Explanation | None:
-    """Why there is no plan, in sentences and as data; None if the scenario is not known.
+    """Why there is no plan, in sentences and as data, besides what `failure` says; None if the scenario is not known.
 
     Of a team it is the first robot that has no climb even alone, if there is one.
 
@@ -282,4 +282,10 @@ def explain_failure(failure: NoPlanFound, seconds: float = 0.0) -> Explanation |
     for other in range(len(scenario.robots)):
         if told.answer == "climb" and other != failure.robot:
             told = explain_climb(scenario, other, failure=failure, seconds=seconds)
-    return told
+    known = f"{_reason(scenario, failure)}."
+    return replace(told, sentences=tuple(line for line in told.sentences if not line.endswith(known)))
+
+
+def _reason(scenario: Scenario, failure: NoPlanFound) -> str:
+    """What the planner says, without the scenario's name before it."""
+    return str(failure).removeprefix(f"{scenario.name}: ").rstrip(".")

@@ -25,6 +25,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from platform import python_version
 
 from climber.climb_search import ClimbSearch, Report
@@ -79,7 +80,7 @@ def plan_climb(
         search = ClimbSearch(scenario, seed, limit, report)
         robots, timings = (search.run(),), search.timings()
     return Plan(
-        scenario_path=scenario.file,
+        scenario_path=str(scenario.folder / Path(scenario.file).name),
         scenario_text=scenario.source,
         seed=seed,
         robots=robots,

@@ -10,12 +10,14 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.padding import Padding
+from rich.text import Text
 
 from climber.stance import Vector
 
 Sense = Literal["at most", "at least"]
+WIDE = 130  # columns of a terminal on which a table has room for places as long as they come
 
 
 @dataclass(frozen=True)
@@ -107,21 +109,23 @@ class Verdict:
         """The verdict as JSON text."""
         return json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
 
-    def __rich__(self) -> Table:
-        """The verdict as a table for a rich console."""
-        table = Table(title=f"{self.source}: {'holds' if self.ok else 'DOES NOT HOLD'}", title_justify="left")
-        table.add_column("")
-        table.add_column("check", no_wrap=True)
-        table.add_column("worst", justify="right", no_wrap=True)
-        table.add_column("limit", justify="right", no_wrap=True)
-        table.add_column("where")
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """The verdict as a table for a rich console; on a narrow one the places are on lines of their own."""
+        yield Text(f"{self.source}: {'holds' if self.ok else 'DOES NOT HOLD'}", style="" if self.ok else "bold red")
+        rows = [("check", "worst", "limit")]
         for check in self.checks:
-            worst = "none" if check.worst is None else f"{check.worst:.3g}"
             sign = "\u2264" if check.sense == "at most" else "\u2265"
-            limit = f"{sign} {check.limit:g} {check.unit}".strip()
-            mark = "[green]ok[/]" if check.ok else "[bold red]FAIL[/]"
-            table.add_row(mark, check.name, worst, limit, check.where.replace("[", "\\["))
-        return table
+            worst = "none" if check.worst is None else f"{check.worst:.3g}"
+            rows.append((check.name, worst, f"{sign} {check.limit:g} {check.unit}".strip()))
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [f"{a:<{widths[0]}}  {b:>{widths[1]}}  {c:>{widths[2]}}" for a, b, c in rows]
+        narrow = options.max_width < WIDE
+        yield Text(f"      {lines[0]}{'' if narrow else '  where'}", style="bold")
+        for check, line in zip(self.checks, lines[1:], strict=True):
+            mark = ("ok    ", "green") if check.ok else ("FAIL  ", "bold red")
+            yield Text.assemble(mark, line, "" if narrow else f"  {check.where}")
+            if narrow and check.where:
+                yield Padding(Text(check.where, "dim"), (0, 0, 0, 8))
 
     def __str__(self) -> str:
         console = Console(file=io.StringIO(), width=160, color_system=None)

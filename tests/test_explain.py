@@ -365,6 +365,7 @@ def test_of_a_team_the_robot_without_a_climb_of_its_own_is_told_of() -> None:
     failure = NoPlanFound("gave up", proved=False, scenario=scenario)
     told = explain_failure(failure)
     assert told is not None and told.answer == "climb" and any("alone" in line for line in told.sentences)
+    assert not any("gave up" in line for line in told.sentences)  # whoever has the failure has been told
     out_of_reach = Place(pelvis=RegionSpec(circle=CircleSpec(center=[9.0, 9.0], radius=0.1)))
     robots = [scenario.robots[0], replace(scenario.robots[1], goal=out_of_reach)]
     failure = NoPlanFound("gave up", proved=False, scenario=replace(scenario, robots=robots))

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 
 import pytest
 from plans import edited, step_plan, with_margins
+from rich.console import Console
 
 from climber.cli import main
 from climber.exceptions import NoPlanFound, ScenarioError
+from climber.least_margins import least_by_kind
+from climber.margin_table import margin_table
 from climber.plan import plan_climb
 from climber.plan_file import Plan
 from climber.scenario import load_scenario, scenario_from_text
@@ -80,3 +84,15 @@ def test_the_least_margins_are_shown(asked: Plan, tmp_path: Path, capsys: pytest
     shown = capsys.readouterr().out
     assert "quadruped survives at least" in shown
     assert f"{least['push']:.3g} N" in shown
+
+
+@pytest.mark.parametrize("width", [80, 160])
+def test_the_table_of_margins_fits_a_terminal(asked: Plan, width: int) -> None:
+    console = Console(file=io.StringIO(), width=width)
+    console.print(margin_table(asked.robots[0], width))
+    file = console.file
+    assert isinstance(file, io.StringIO)
+    lines = file.getvalue().splitlines()
+    assert len(lines) == 2 + 6 * (2 if width == 80 else 1) - (width == 80)  # of friction no direction is worst
+    for least in least_by_kind(asked.robots[0]):
+        assert any(least.way in line and (least.limb or "") in line for line in lines)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,6 +40,20 @@ def test_the_basic_climb_takes_thirteen_moves_proved_on_what_is_left_of_the_grap
     assert robot.moves == 13
     assert robot.proofs["moves"] is True
     assert robot.proofs["cost"] is True
+
+
+def test_plans_for_a_model_of_one_s_own_hold_wherever_they_are_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    comes_along = load_scenario("three_limbed")
+    url, folder = comes_along.robots[0].model, tmp_path / "climbs"
+    shutil.copytree(comes_along.model_path(0).parent, folder)
+    (folder / "mine.yaml").write_text(comes_along.source.replace(url, url.rpartition("/")[2]))
+    monkeypatch.chdir(tmp_path)
+    plan_climb(load_scenario("climbs/mine.yaml")).save("plan.json")
+    monkeypatch.chdir("/")
+    verdict = verify(tmp_path / "plan.json")
+    assert verdict.ok, str(verdict)
 
 
 def test_phases_alternate_and_begin_and_end_with_a_shift(basic: Plan) -> None:

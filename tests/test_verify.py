@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import io
 import json
 import re
 from collections.abc import Callable
@@ -32,6 +33,7 @@ from plans import (
     told,
     with_margins,
 )
+from rich.console import Console
 
 import climber.verdict
 from climber.encounter import Pair, Track
@@ -475,6 +477,21 @@ def test_the_verdict_reads_as_a_table_and_as_json() -> None:
         assert check["name"] in table and check["ok"] is True
     with pytest.raises(KeyError):
         verdict["no such check"]
+
+
+def test_a_verdict_fits_a_terminal_of_eighty_columns() -> None:
+    verdict = verify(step_plan())
+    console = Console(file=io.StringIO(), width=80)
+    console.print(verdict)
+    file = console.file
+    assert isinstance(file, io.StringIO)
+    lines = file.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert all(
+        sum(line.startswith(("ok", "FAIL")) and check.name in line for line in lines) for check in verdict.checks
+    )
+    words = " ".join(file.getvalue().split())
+    assert all(" ".join(check.where.split()) in words for check in verdict.checks)
 
 
 def test_a_plan_and_its_file_get_the_same_verdict(tmp_path: Path) -> None:
