@@ -15,6 +15,16 @@ if TYPE_CHECKING:
 class ClimberError(Exception):
     """Base of everything climber raises on purpose."""
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # Worker processes hand their errors back by pickling, which by default knows of positional arguments only.
+        return (_restored, (type(self), self.args, vars(self)))
+
+
+def _restored(kind: type[ClimberError], arguments: tuple[object, ...], facts: dict[str, object]) -> ClimberError:
+    error = kind.__new__(kind, *arguments)
+    vars(error).update(facts)
+    return error
+
 
 class ScenarioError(ClimberError):
     """A scenario that cannot be planned for as it is written.
@@ -49,14 +59,6 @@ class ScenarioError(ClimberError):
         where = f"{file}: {path}" if path else f"{file}"
         message = f"{where}: {'nothing given' if shown is None else f'given {shown}'}; allowed: {allowed}"
         return cls(message, file=str(file), path=path, given=shown, allowed=allowed)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        # Worker processes hand their errors back by pickling, which by default knows of positional arguments only.
-        return (_restored, (str(self), self.file, self.path, self.given, self.allowed))
-
-
-def _restored(message: str, file: str, path: str, given: str | None, allowed: str) -> ScenarioError:
-    return ScenarioError(message, file=file, path=path, given=given, allowed=allowed)
 
 
 _REPR = reprlib.Repr()

@@ -15,13 +15,14 @@ from climber.exceptions import ClimberError
 from climber.table import PUBLISHED, Figures, Published, deviation, mean, measure
 
 SEEDS = 3
-WIDTH = 112  # of the table, characters; a narrower one would lose columns
+LEAST = 80  # characters that the table takes in any case
+UNBOUNDED = 1000  # characters: more than any table takes
 NOTE = (
     "Published: table 5.1 of Gönen (2021), on walls that ours resemble but are not; - where the copy at hand cannot be "
-    "read. Makespans of its scenarios 2, 3 and 5 and the replanning of scenario 3 are from its section 5.1. Its "
-    "optimum lengths are by RRT*, its mean lengths and times by RRT-Connect; ours are the least and the mean over the "
-    "seeds. Length: Euclidean over all positions, metres and radians alike, of all robots together. In parentheses: "
-    "standard deviations."
+    "read. Makespans of its scenarios 2, 3 and 5, replanning of 3 and task planning of 5 are from its section 5.1, "
+    "which prints a plan of 10 moves for scenario 2. Its optimum lengths are by RRT*, its mean lengths and times by "
+    "RRT-Connect; ours are the least and the mean over the seeds. Length: Euclidean over all positions, metres and "
+    "radians alike, of all robots together. In parentheses: standard deviations."
 )
 
 
@@ -66,22 +67,42 @@ def _table(options: argparse.Namespace) -> int:
         print(json.dumps({"seeds": options.seeds, "scenarios": [each.to_dict() for each in figures], "note": NOTE}))
     else:
         console = Console(highlight=False)
-        console.width = max(console.width, WIDTH)
-        console.print(rendered(figures, options.seeds))
+        console.width = max(console.width, LEAST)
+        console.print(rendered(figures, options.seeds, console.width))
         console.print(NOTE, style="dim")
     return 1 if any(each.failed for each in figures) else 0
 
 
-def rendered(figures: Sequence[Figures], seeds: int) -> Table:
-    """The table: for every scenario a row of ours and, if there is one, the published one below."""
-    table = Table(title=f"{seeds} seed{'s' if seeds > 1 else ''} each", title_justify="left", box=SIMPLE)
+def rendered(figures: Sequence[Figures], seeds: int, width: int = UNBOUNDED) -> Table:
+    """The table: for every scenario a row of ours and, if there is one, the published one below.
+
+    Args:
+        figures: Of each scenario.
+        seeds: How many each was planned with.
+        width: Characters there are; where a line for a row is too long, rows take two.
+    """
+    wide = _laid_out(figures, seeds, wide=True)
+    fits = Console(width=UNBOUNDED).measure(wide).maximum <= width
+    return wide if fits else _laid_out(figures, seeds, wide=False)
+
+
+def _laid_out(figures: Sequence[Figures], seeds: int, *, wide: bool) -> Table:
+    """The table, with a line for each row or with standard deviations below what they are of."""
+    title = f"{seeds} seed{'s' if seeds > 1 else ''} each"
+    table = Table(title=title, title_justify="left", box=SIMPLE, padding=(0, 1 if wide else 0))
     table.add_column("scenario", no_wrap=True)
-    stages = ["moves", "graph\n[s]", "task\n[s]", "motion planning\n[s]"]
-    for head in [*stages, "optimum\nlength", "mean\nlength", "duration\n[s]", "replans"]:
+    heads = ["moves", "graph\n[s]", "task\n[s]", "motion planning\n[s]", "optimum\nlength", "mean\nlength"]
+    for head in [*heads, "duration\n[s]", "replans"]:
+        head = head if wide else head.replace(" ", "\n")
         table.add_column(head.replace("[", "\\["), justify="right", no_wrap=True)
+
+    def add(cells: Sequence[str], style: str = "") -> None:
+        folded = cells if wide else [cell.replace(" (", "\n(").replace(" + ", " +\n") for cell in cells]
+        table.add_row(*folded, style=style)
+
     for each in figures:
         missing = f" ({len(each.failed)} failed)" if each.failed else ""
-        table.add_row(
+        ours = (
             f"[bold]{each.scenario}[/bold]{missing}",
             _number(each.makespan, 0),
             _number(each.graph, 3),
@@ -92,8 +113,9 @@ def rendered(figures: Sequence[Figures], seeds: int) -> Table:
             _spread(each.duration, 1),
             _number(each.replans, 0),
         )
+        add(ours)
         if (published := PUBLISHED.get(each.scenario)) is not None:
-            table.add_row(*_published(published), style="dim")
+            add(_published(published), "dim")
         table.add_section()
     return table
 

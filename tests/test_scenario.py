@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Point
 
-from climber.exceptions import ScenarioError
+from climber.exceptions import NoPlanFound, ScenarioError
 from climber.resources import packaged_scenarios
 from climber.scenario import (
     Budget,
@@ -673,6 +673,9 @@ def test_errors_survive_the_way_back_from_a_worker() -> None:
         "-1",
         "a whole number",
     )
+    nothing = NoPlanFound("gave up", proved=True, counts={"moves": 2})
+    again = pickle.loads(pickle.dumps(nothing))
+    assert isinstance(again, NoPlanFound) and str(again) == "gave up" and vars(again) == vars(nothing)
 
 
 # Whatever is in the file, it is read or refused

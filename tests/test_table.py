@@ -13,13 +13,13 @@ from climber.cli import main
 from climber.plan import plan_climb
 from climber.scenario import load_scenario
 from climber.table import PUBLISHED, Figures, deviation, length, mean, measure
-from climber.table_command import rendered
+from climber.table_command import LEAST, UNBOUNDED, rendered
 
 
-def shown(*figures: Figures) -> str:
-    console = Console(width=112, color_system=None, highlight=False)
+def shown(*figures: Figures, width: int = UNBOUNDED) -> str:
+    console = Console(width=width, color_system=None, highlight=False)
     with console.capture() as capture:
-        console.print(rendered(figures, 2))
+        console.print(rendered(figures, 2, width))
     return capture.get()
 
 
@@ -81,6 +81,18 @@ def test_the_table_shows_ours_and_below_what_is_published_as_it_is_printed() -> 
         "1.5",
     ]
     assert theirs[2:] == ["12", "0.3", "+", "0.5", "0.02", "141.5", "(66.6)", "32.205", "65.387", "(6.867)", "-", "0"]
+
+
+def test_in_no_width_is_anything_cut_off() -> None:
+    every = [replace(EXAMPLE, scenario=name, failed=(2,)) for name in (*PUBLISHED, "random_1000")]
+
+    def words(text: str) -> list[str]:
+        return sorted(word for word in text.split() if "─" not in word)
+
+    for width in range(LEAST, 141, 10):
+        lines = [line.rstrip() for line in shown(*every, width=width).splitlines()]
+        assert max(map(len, lines)) <= width
+        assert words(" ".join(lines)) == words(shown(*every))
 
 
 def test_published_optimum_lengths_are_those_of_scenarios_one_to_three() -> None:
