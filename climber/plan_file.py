@@ -100,7 +100,8 @@ class Plan:
         try:
             text = Path(path).read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
-            raise PlanFileError(f"{path}: cannot be read: {error}") from error
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            raise PlanFileError(f"{path}: cannot be read: {reason}") from error
         return cls.from_json(text, str(path))
 
 

@@ -14,6 +14,7 @@ from climber.exceptions import PlanFileError
 from climber.stance import Vector
 
 Choice = TypeVar("Choice", bound=str)
+LARGEST = 1e12  # of samples, in any unit: their squares and products can still be told apart
 
 
 def parse(text: str, source: str) -> Node:
@@ -60,7 +61,7 @@ class Node:
 
     def error(self, expected: str) -> PlanFileError:
         """The error that something else stands here than what is expected."""
-        given = json.dumps(self.value) if not isinstance(self.value, list | dict) else type(self.value).__name__
+        given = json.dumps(self.value) if not isinstance(self.value, list | dict) else _called(self.value)
         given = given if len(given) <= 60 else given[:57] + "..."
         return PlanFileError(f"{self.source}: {self.path or 'top level'}: {expected} (given: {given})")
 
@@ -140,7 +141,7 @@ class Node:
         return self.value if isinstance(self.value, bool | str) else self.number()
 
     def array(self, *shape: int | None) -> Vector:
-        """A list of numbers, or a list of such lists.
+        """A list of numbers of a size that can be reckoned with, or a list of such lists.
 
         Args:
             shape: Expected length along each axis; None for any.
@@ -156,10 +157,16 @@ class Node:
             rows = [item.array(*shape[1:]) for item in self.items()]
             return np.array(rows).reshape(len(rows), *shape[1:])
         # A quick look first, since a plan has hundreds of thousands of numbers; one by one only to say what is wrong.
-        if not (set(map(type, self.value)) <= {float} and all(map(math.isfinite, self.value))):
+        if not (set(map(type, self.value)) <= {float} and all(abs(value) <= LARGEST for value in self.value)):
             for item in self.items():
-                item.number()
+                if abs(item.number()) > LARGEST:
+                    raise item.error(f"a number between -{LARGEST:g} and {LARGEST:g} is expected")
         return np.array(self.value, dtype=float)
+
+
+def _called(value: list[Any] | dict[str, Any]) -> str:
+    """What to call a value that is too long to be shown."""
+    return "an object" if isinstance(value, dict) else f"a list of {len(value)}"
 
 
 def _is_finite(value: int | float) -> bool:

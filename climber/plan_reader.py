@@ -92,7 +92,7 @@ def _read_phase(node: Node, robot: RobotPlan) -> Phase:
     if stance >= len(robot.stances):
         raise fields["stance"].error(f"there are {len(robot.stances)} stances, numbered from 0")
     contacts = []
-    for contact in fields["contacts"].items():
+    for contact in fields["contacts"].items(at_least=1):
         parts = contact.fields(["limb", "hold", "point"])
         limb = parts["limb"].choice(robot.limbs)
         contacts.append(PhaseContact(limb, parts["hold"].integer(at_least=0), parts["point"].array(3)))

@@ -47,8 +47,10 @@ class TimingChecks:
             yield "paced by a law of fixed shape, it has neither limits nor active ones"
         for kind, limits in timing.limits.items():
             for name, limit in limits.items():
-                if not 0.0 < limit <= self._most[kind].get(name, np.inf) + SAME:
-                    yield f"its limit of {kind} of {name} is {limit:g}, the model's {self._most[kind].get(name):g}"
+                most = self._most[kind].get(name, np.inf)
+                if not 0.0 < limit <= most + SAME:
+                    whose = f", the model's {most:g}" if limit > 0.0 else ""
+                    yield f"its limit of {kind} of {name} is {limit:g}{whose}"
         before = -np.inf
         for begin, end, name in timing.active:
             if not (max(before, phase.time[0] - SAME) <= begin < end <= phase.time[-1] + SAME):
