@@ -32,20 +32,31 @@ class Effort:
     Attributes:
         samples: Pelvis poses drawn at most while looking for a posture.
         postures: Candidate postures kept for each instant.
+        patience: How many times as many poses are drawn where that takes a second for a million.
     """
 
     samples: int = 20_000
     postures: int = 24
+    patience: int = 1
 
     @classmethod
     def of(cls, budget: Budget, multiple: int = 1) -> Effort:
-        """What a scenario allows, so many times over."""
-        return cls(multiple * budget.posture_samples, multiple * budget.postures)
+        """What a scenario allows, so many times over.
+
+        Of the poses that take next to no time, those drawn at last are as many as the cube of that: the climb of a wall
+        may hang on a posture that one pose in a hundred thousand leads to.
+        """
+        return cls(multiple * budget.posture_samples, multiple * budget.postures, multiple**2)
 
     @property
     def rounds(self) -> tuple[int, ...]:
         """Pelvis poses drawn in successive rounds: a few settle most cases."""
         return (*(n for n in (500, 4_000) if n < self.samples), self.samples)
+
+    @property
+    def patient_rounds(self) -> tuple[int, ...]:
+        """The same with patience: as many poses as that in each of several rounds more."""
+        return (*self.rounds, *(self.samples for _ in range(self.patience - 1)))
 
 
 @dataclass(frozen=True)
@@ -100,6 +111,12 @@ class TransitionFinder:
             return self.effort.rounds
         return replace(self.effort, samples=max(BRIEFLY[0], int(IN_SPACE * self.effort.samples))).rounds
 
+    @property
+    def _patient(self) -> tuple[int, ...]:
+        """The rounds for what there may be few postures of."""
+        quick = self.body.robot.planar and not self.body.without_inverse(range(len(self.body.robot.limbs)))
+        return self.effort.patient_rounds if quick else self.rounds
+
     def transition(self, contacts: tuple[Contact, ...], limb: int, rounds: Sequence[int] | None = None) -> Postures:
         """Postures on `contacts` in which `limb` may let go or has just taken hold; found once.
 
@@ -111,7 +128,7 @@ class TransitionFinder:
         key = (contacts, limb)
         if key not in self._found:
             began = clock.perf_counter()
-            drawn = self.rounds if rounds is None else rounds
+            drawn = self._patient if rounds is None else rounds
             holding = [c for c in contacts if c.limb != limb]
 
             def carried(q: Vector) -> NDArray[np.bool_]:

@@ -18,6 +18,8 @@ from climber.balance import Region
 from climber.manifold import Body, Manifold, Margins
 from climber.planar_bases import PlanarBases, enclosing_circles
 from climber.programs.equilibrium import SupportProgram
+from climber.robot import Model, Robot
+from climber.scenario import Budget, load_scenario
 from climber.stance import Contact, Vector
 from climber.transition import (
     Postures,
@@ -27,6 +29,7 @@ from climber.transition import (
     spread,
     support_of,
 )
+from climber.transitions import Effort, TransitionFinder
 from climber.wall import Hold, Wall, circle
 
 seeds = st.integers(0, 2**32 - 1)
@@ -360,6 +363,21 @@ def test_later_rounds_are_drawn_only_if_those_before_found_nothing() -> None:
     rng = np.random.default_rng(0)
     two = find_transition(here, FOUR, 0, rng, rounds=(500, 10**9))  # would not fit in memory
     assert np.array_equal(one.q, two.q)
+
+
+def test_a_posture_that_one_pose_in_a_hundred_thousand_leads_to_is_found_with_patience() -> None:
+    """The only climb of basic with few moves hangs on it."""
+    scenario = load_scenario("basic")
+    wall = scenario.build_wall()
+    body = Body(Robot(Model.load(scenario.robots[0].model, scenario.folder), wall.gravity), wall)
+    contacts = tuple(Contact(limb, hold) for limb, hold in enumerate((6, 7, 2, 4)))
+    for seed in range(3):
+        finder = TransitionFinder(body, np.random.default_rng(seed), Effort.of(Budget(), 4))
+        found = finder.transition(contacts, 2)
+        assert len(found)
+        for holding in (contacts, contacts[:2] + contacts[3:]):
+            manifold = finder.manifold(holding)
+            assert manifold is not None and manifold.slack(found.q).min() >= 0.0
 
 
 def test_postures_on_the_thesis_wall_are_found_for_every_limb_of_the_start() -> None:
