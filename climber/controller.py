@@ -4,14 +4,19 @@ Joint tracking with feed-forward compensation is tau = tau_ff + K_P e + K_D de/d
 joint errors that cannot be undone, because feet do not stand exactly where the plan has them, would make the feet push
 against one another until one slides. So the gains act on accelerations, and forces are chosen before torques:
 
-    (1) vd* = vd_ref + k_P e + k_D (v_ref - v) + k_I sum(e dt), e = q_ref - q
+    (1) vd* = vd_ref + k_P e + k_D (v_ref - v), e = q_ref - q
     (2) vd  = the acceleration nearest to vd* at which holding feet come to rest: J_c vd + Jdot_c v = -k_F J_c v
-    (3) lambda = the contact forces nearest to the plan's, inside their cones, with J_u^T lambda = (M vd + h)_u in the
-        rows u without a motor
-    (4) tau = (M vd + h)_a - J_a^T lambda in the rows a with one, no more than the motors can
+    (3) d'  = k_O Lambda (nu - nu_expected) / dt, Lambda = N^T M N: the disturbance, by what it did to the velocities nu
+        of the pelvis and of free limbs since the last command; N has the motions that these make with feet at rest
+    (4) lambda = the contact forces near the plan's, within friction and torques, that carry the robot in the rows u
+        without a motor, J_u^T lambda = (M vd + h)_u - d_u (`climber.force_control`)
+    (5) tau = (M vd + h - d)_a - J_a^T lambda in the rows a with one
 
-(3) is the force control: what the tracking needs beyond the plan is taken from the feet that have friction to spare,
-along their normals before their tangents, and the internal forces, those that move nothing, stay what the plan chose.
+(3) is the observer of momentum (De Luca and Mattone 2003; Haddadin et al. 2017, 4.2) where feet that stand let the
+robot move: what pushes the robot, or makes it heavier, is found out in some 20 ms and carried by forces within friction
+from then on; there is nothing left for an integral of errors to do. (4) is the force control. If no forces carry the
+robot, vd in (5) is what those found make it do: accelerations give way, friction and torques do not. Of friction it
+leaves unused what the plan's margins say can be spared, since it is not told of holds that have less.
 
 A trajectory generator (Bretl 2006) runs the plan's clock: it slows as the tracking error grows, and stops.
 """
@@ -24,13 +29,14 @@ import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
 from climber.dynamics import Sampler, turning
-from climber.force_control import ForceControl
+from climber.force_control import Demand, ForceControl
 from climber.reference import Desired, Reference
 from climber.robot import Indices
 from climber.stance import Vector
 from climber.wall import Wall
 
 DAMPING = 0.005  # a limb that moves its foot less than so much a radian is nearly straight [m]
+PRESS = 0.15  # share of a disturbance's force that every foot presses with at least
 GIVING = 3e-5  # how readily the pelvis gives way to joints [m^2]
 
 
@@ -42,8 +48,8 @@ class Gains:
         pelvis: Natural frequency of the pelvis's errors [1/s]; they are critically damped.
         joint: Natural frequency of a free limb's joint errors [1/s]; critically damped.
         foot: How fast a holding foot that moves is brought to rest [1/s].
-        most: What the sum of past errors may add to the acceleration of the pelvis at most [m/s^2, rad/s^2]; ten times
-            as much for joints.
+        observer: How fast disturbances are found out [1/s].
+        most: What a disturbance may change the acceleration by in a time step at most [m/s^2, rad/s^2].
         approach: A foot that ends its swing off its hold goes on along the hold's normal this fast [m/s].
         settle: Joints of a limb that lets go elsewhere than planned are back on the plan after about this time [s].
         pelvis_error: The clock slows when the pelvis is this far off [m], and stops at twice of it.
@@ -54,7 +60,8 @@ class Gains:
     pelvis: float = 40.0
     joint: float = 80.0
     foot: float = 40.0
-    most: float = 10.0
+    observer: float = 50.0
+    most: float = 50.0
     approach: float = 0.03
     settle: float = 0.1
     pelvis_error: float = 0.004
@@ -136,9 +143,8 @@ class Controller:
         self._tolerance = np.full(nv, self.gains.joint_error)
         self._tolerance[robot.base_v] = self.gains.pelvis_error
         self._tolerance[robot.angle_q] = self.gains.pelvis_angle
-        self._ki = 0.1 * omega**3
-        self._most = self.gains.most / self._ki * np.where(np.isin(np.arange(nv), robot.base_v), 1.0, 10.0)
-        self._aside, self._sum, self.error = np.zeros(nv), np.zeros(nv), np.zeros(nv)
+        self._aside, self._felt, self.error = np.zeros(nv), np.zeros(nv), np.zeros(nv)
+        self._expected: Vector | None = None
         self.phase, self.landing = 0, False
         self._stance = self._stand()
 
@@ -215,10 +221,10 @@ class Controller:
         """Goes on to the next phase."""
         before = set(self._stance.holding)
         self.phase, self.landing = self.phase + 1, False
-        self._stance = self._stand()
+        self._stance, self._expected = self._stand(), None
         for limb, its in enumerate(self.robot.limbs):
             if limb in before or limb in self._stance.holding:
-                self._aside[its.v] = self._sum[its.v] = 0.0
+                self._aside[its.v] = self._felt[its.v] = 0.0
             if limb in before and limb not in self._stance.holding:
                 self._aside[its.v] = self.error[its.v]
 
@@ -240,7 +246,7 @@ class Controller:
             quicker: How fast that changes [1/s].
             q: Measured positions [m, rad], shape (nq,).
             v: Measured velocities [m/s, rad/s], shape (nv,).
-            toward: If the limb that arrives is to go on towards its hold, 1 along minus its normal, -1 along it.
+            toward: If the limb that arrives is to go on towards its hold, how fast: 1 against the normal, -1 along it.
         """
         stance, gains, axes = self._stance, self.gains, self._axes
         desired = self.reference.at(self.phase, time)
@@ -259,24 +265,43 @@ class Controller:
         following, error = self._following(J), self.error - self._aside
         for follow in following:
             error = error - follow @ (J @ error)
-        self._sum[stance.free] += self.time_step * error[stance.free]
-        np.clip(self._sum, -self._most, self._most, out=self._sum)
-        wanted = rate**2 * desired.vd + quicker * desired.v
-        wanted += self._kp * error + self._kd * (rate * desired.v - v) + self._ki * self._sum
+        wanted = rate**2 * desired.vd + quicker * desired.v + self._kp * error + self._kd * (rate * desired.v - v)
         # (2)
         at_rest = -gains.foot * (J @ v) - self._Jdot_v[stance.rows]
-        vd = wanted
+        vd, motions = wanted, np.eye(len(v))[:, stance.free]
         for follow in following:
             vd = vd + follow @ (at_rest - J @ vd)
+            motions = motions - follow @ (J @ motions)
         # (3)
-        load = sampler.plant.CalcMassMatrix(sampler.context) @ vd + sampler.h()
+        M = sampler.plant.CalcMassMatrix(sampler.context)
+        moved = M @ motions
+        if self._expected is not None:
+            off = np.clip(v[stance.free] - self._expected, -gains.most * self.time_step, gains.most * self.time_step)
+            self._felt[stance.free] += gains.observer * (motions.T @ moved @ off)
+        load = M @ vd + sampler.h() - self._felt
+        # (4)
         C = np.vstack([self._J[stance.rows], self._turning[list(stance.gripping)]])
         planned = [desired.force[list(stance.holding), :axes].ravel(), desired.moment[list(stance.gripping)]]
-        forces = stance.control.forces(np.concatenate(planned), C[:, self._loose].T, load[self._loose])
-        # (4)
+        yielding = moved[:, : len(self.robot.base_v)]
+        loose, driven = yielding[self._loose], yielding[self._driven]
+        gives = np.linalg.solve(loose.T @ loose + 1e-12 * np.eye(loose.shape[1]), loose.T)
+        E, G = C[:, self._loose].T, driven @ gives
+        demand = Demand(
+            wished=np.concatenate(planned),
+            E=E,
+            load=load[self._loose],
+            A=C[:, self._driven].T - G @ E,
+            c=load[self._driven] - G @ load[self._loose],
+            most=self._limits,
+            drop=desired.drop,
+            press=PRESS * float(np.linalg.norm(self._felt[self.robot.origin_q])),
+        )
+        forces = stance.control.forces(demand)
+        # (5)
         torque = np.zeros(len(self.robot.joint_names))
-        asked = load[self._driven] - C[:, self._driven].T @ forces
-        torque[self._motors] = np.clip(asked, -self._limits, self._limits)
+        torque[self._motors] = np.clip(demand.c - demand.A @ forces, -self._limits, self._limits)
+        vd = vd + motions[:, : len(self.robot.base_v)] @ gives @ (E @ forces - demand.load)
+        self._expected = (v + self.time_step * vd)[stance.free]
         return self._act(torque, forces, desired)
 
     def pushed(self, force: Vector) -> Vector:

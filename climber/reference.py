@@ -14,6 +14,7 @@ from climber.robot import Robot
 from climber.stance import Vector
 
 BLEND = 0.15  # forces go over to those of the next phase in this time [s], or in a third of the phase if that is less
+SPARE = 0.7  # share of a phase's margin of friction that is left unused, more if the whole climb's is more
 LIGHTLY = 0.1  # share of its force that a foot has when it lets go, and when it has just taken hold
 
 
@@ -27,6 +28,7 @@ class Desired:
         vd: Accelerations [m/s^2, rad/s^2], shape (nv,).
         force: Forces of the holds on the feet in W [N], shape (num_limbs, 3); zero for a limb that holds nothing.
         moment: Moments of the holds on the feet about z [N m], shape (num_limbs,).
+        drop: Share of friction that is to be left unused.
     """
 
     q: Vector
@@ -34,12 +36,13 @@ class Desired:
     vd: Vector
     force: Vector
     moment: Vector
+    drop: float
 
 
 class _Track:
     """One phase, columns in the robot's order."""
 
-    def __init__(self, phase: Phase, plan: RobotPlan, robot: Robot) -> None:
+    def __init__(self, phase: Phase, plan: RobotPlan, robot: Robot, least: float) -> None:
         self.phase = phase
         q = phase.q[:, [plan.positions.index(name) for name in robot.position_names]]
         moving = [plan.velocities.index(name) for name in robot.velocity_names]
@@ -50,7 +53,8 @@ class _Track:
             limb = limbs.index(contact.limb)
             force[:, limb] = phase.force[contact.limb]
             moment[:, limb] = phase.moment.get(contact.limb, 0.0)
-        self.rows = np.hstack([q, v, vd, force.reshape(K, -1), moment])
+        drop = max(SPARE * _friction_margin(phase), least)
+        self.rows = np.hstack([q, v, vd, force.reshape(K, -1), moment, np.full((K, 1), drop)])
         self.time: list[float] = phase.time.tolist()
         self.begin: float = self.time[0]
         self.end: float = self.time[-1]
@@ -89,7 +93,8 @@ class Reference:
                     f"are {list(own)}"
                 )
         self.plan, self.robot = plan, robot
-        self._tracks = [_Track(phase, plan, robot) for phase in plan.phases]
+        least = min(_friction_margin(phase) for phase in plan.phases)
+        self._tracks = [_Track(phase, plan, robot, least) for phase in plan.phases]
         self._nq, self._nv = len(robot.position_names), len(robot.velocity_names)
 
     @property
@@ -130,13 +135,18 @@ class Reference:
         if number + 1 < len(self._tracks) and time > track.end - blend and self._new(number, number + 1):
             after = self._tracks[number + 1].rows[0, nq + 2 * nv :]
             loads = after + max(_smooth((track.end - time) / blend), LIGHTLY) * (loads - after)
-        force, moment = loads[: 3 * limbs].reshape(limbs, 3), loads[3 * limbs :]
-        return Desired(state[:nq], state[nq : nq + nv], state[nq + nv :], force, moment)
+        force, moment, drop = loads[: 3 * limbs].reshape(limbs, 3), loads[3 * limbs : -1], float(loads[-1])
+        return Desired(state[:nq], state[nq : nq + nv], state[nq + nv :], force, moment, drop)
 
     def _new(self, number: int, other: int) -> bool:
         """Whether a limb holds in one phase that does not in another."""
         limbs, others = ({c.limb for c in self._tracks[k].phase.contacts} for k in (number, other))
         return not limbs <= others
+
+
+def _friction_margin(phase: Phase) -> float:
+    """The share of friction that the phase is known to do without."""
+    return phase.margins["friction"].value if "friction" in phase.margins else 0.0
 
 
 def _smooth(share: float) -> float:

@@ -22,8 +22,8 @@ class Perturbation:
         hold_error: Holds are displaced at random by up to this much [m].
         start_error: Pelvises start displaced at random by up to this much [m], and turned by up to ten times as many
             radians.
-        push: Each robot's pelvis is pushed with this force [N] at the robot's centre of mass, in a direction drawn at
-            random once and for all.
+        push: Each robot's pelvis is pushed with this force [N] at the robot's centre of mass, always the same way.
+        direction: Which way, in W, shape (3,); drawn at random if None.
         seed: Of what is random.
     """
 
@@ -32,7 +32,14 @@ class Perturbation:
     hold_error: float = 0.0
     start_error: float = 0.0
     push: float = 0.0
+    direction: tuple[float, float, float] | None = None
     seed: int = 0
+
+    def pushed(self, rng: np.random.Generator, dimension: int) -> Vector:
+        """The push on a robot that moves in as many axes [N], shape (dimension,)."""
+        direction = on_sphere(rng, dimension) if self.direction is None else np.array(self.direction[:dimension])
+        result: Vector = self.push * direction
+        return result
 
     def wall(self, wall: Wall, dimension: int) -> Wall:
         """The wall as it really is; holds are displaced in as many axes as robots move in."""

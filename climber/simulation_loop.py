@@ -13,7 +13,7 @@ from climber.plan_file import Plan
 from climber.reference import Reference
 from climber.robot import Model, Robot
 from climber.scenario import scenario_from_text
-from climber.simulation import Perturbation, in_ball, on_sphere
+from climber.simulation import Perturbation, in_ball
 from climber.simulation_model import Touch, World
 from climber.simulation_watch import Watch
 from climber.stance import Vector
@@ -21,7 +21,11 @@ from climber.stance import Vector
 STUCK = 2.0  # the plan's clock may stand still for so long [s]
 SETTLE = 0.2  # how long the robots are watched after the plan's end [s]
 CATCH_UP = 0.1  # time in which the clock goes from standing to its full pace [s]
-NEAR = 0.0001  # a foot so near to its hold has reached it [m]
+TOUCH = 1e-5  # a foot so near to its hold has reached it [m]
+NEAR = (
+    0.0002  # one that is farther off at the end of its swing makes the clock stop; it approaches slower when nearer [m]
+)
+LATE = 0.06  # by how much the clock may pass the end of a swing before the foot has reached its hold [s]
 GROWING = 0.2  # time in which a push comes on [s]
 RECORD = 100.0  # samples of a recording [Hz]
 
@@ -89,7 +93,7 @@ class Loop:
         self._end, self.clock = max(controller.last for controller in controllers), controllers[0].begin
         self.elapsed, self._rate, self._quicker, self._stood, self._over = 0.0, 1.0, 0.0, 0.0, 0.0
         rng = np.random.default_rng([perturbation.seed, 1])
-        self._pushes = [perturbation.push * on_sphere(rng, robot.dimension) for robot in robots]
+        self._pushes = [perturbation.pushed(rng, robot.dimension) for robot in robots]
         self.world.place([self._posture(watch, perturbation.start_error, rng) for watch in self.watches])
         self._touch_all()
 
@@ -159,9 +163,9 @@ class Loop:
         self._tick()
 
     def _toward(self, watch: Watch) -> float:
-        """Which way a limb that ended its swing off its hold has to go on: 1 towards it, -1 out of it."""
+        """How a limb that ended its swing off its hold has to go on: 1 towards it, -1 out of it, less when near."""
         gap = self._gap(watch)
-        return float(np.sign(gap)) if abs(gap) > NEAR else 0.0
+        return float(np.clip(gap / NEAR, -1.0, 1.0)) if abs(gap) > TOUCH else 0.0
 
     def _gap(self, watch: Watch) -> float:
         """How far the foot of the limb that is to take hold is from the hold, along the normal [m]."""
@@ -173,12 +177,16 @@ class Loop:
         return float(self.world.wall.normals[hold] @ (place - self.world.wall.positions[hold]))
 
     def _tick(self) -> None:
-        """The plan's clock goes on, as fast as the tracking allows, and phases change."""
+        """The plan's clock goes on, as fast as the tracking allows, and phases change.
+
+        Where a foot has yet to find its hold the clock stops, gently, for the sake of other robots on their way.
+        """
         step = self.world.time_step
-        pace = min(watch.controller.pace for watch in self.watches)
+        lost = any(watch.controller.landing and abs(self._gap(watch)) > NEAR for watch in self.watches)
+        pace = 0.0 if lost else min(watch.controller.pace for watch in self.watches)
         change = float(np.clip(pace - self._rate, -step / CATCH_UP, step / CATCH_UP))
         rate = min(max(self._rate + change, 0.0), 1.0)
-        limit = min([self._end, *(watch.controller.end for watch in self.watches if not watch.controller.done)])
+        limit = min([self._end, *(watch.controller.end + LATE for watch in self.watches if not watch.controller.done)])
         after = min(self.clock + rate * step, limit)
         standing = after <= self.clock
         self._rate, self._quicker = (0.0, 0.0) if standing else (rate, change / step)

@@ -34,11 +34,12 @@ from climber.wall import Hold, Wall
 
 FOOT_RADIUS = 0.0005  # [m]
 THICKNESS = 0.004  # of the boxes [m]
-RIM = 0.002  # the box reaches this far beyond the patch, so that a foot at its edge does not stand on an edge [m]
+RIM = 0.004  # the box reaches this far beyond the patch, so that a foot at its edge, or rolled off it, is on it [m]
 DEPTH = 0.005  # least half extent of the box across the wall plane [m]
 STEPS = 2  # of the plant to one of the controllers; feet that should stick creep in proportion to the plant's step
 STIFFNESS = 1e7  # of a contact [N/m]; beyond what Drake's solver resolves in a step, so that it is nearly rigid
-RELAXATION = 1e-3  # time in which an overlap goes down [s]
+DISSIPATION = 50.0  # of a contact [s/m]: an overlap goes down no faster than its inverse, or feet would bounce
+STICTION = 1e-5  # foot that slips slower is held by as much less than friction could [m/s]
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,8 @@ class World:
         self._instances = [robot.model.add_to(self.plant, None, f"robot_{i}") for i, robot in enumerate(robots)]
         self.plant.RegisterAsSourceForSceneGraph(self._scene_graph)
         self.plant.set_contact_model(ContactModel.kPoint)
-        self.plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
+        self.plant.set_discrete_contact_approximation(DiscreteContactApproximation.kLagged)
+        self.plant.set_stiction_tolerance(STICTION)
         self.plant.SetUseSampledOutputPorts(False)
         self.plant.mutable_gravity_field().set_gravity_vector(wall.gravity)
         frames = [
@@ -251,10 +253,9 @@ class _Friction:
 def _material(friction: float) -> ProximityProperties:
     properties = ProximityProperties()
     AddContactMaterial(
-        dissipation=0.0,
+        dissipation=DISSIPATION,
         point_stiffness=STIFFNESS,
         friction=CoulombFriction(friction, friction),
         properties=properties,
     )
-    properties.AddProperty("material", "relaxation_time", RELAXATION)
     return properties

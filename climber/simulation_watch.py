@@ -1,7 +1,7 @@
 """Who watches a robot in simulation: how far its feet slip, how far it is from its plan, and whether it falls.
 
-A robot has fallen when its pelvis is 50 mm from where it should be, or a holding foot 3 mm off its hold or beyond the
-hold's edge. A foot slips by what its contact point moves along the hold after it has taken hold: the path of the foot's
+A robot has fallen when its pelvis is 50 mm from where it should be, or a holding foot 3 mm off its hold or 2 mm beyond
+the edge of its patch. A foot slips by what its contact point moves along the hold after it has taken hold: the path of the foot's
 centre less what it rolls, summed up as a vector, so that what it slips back does not count.
 """
 
@@ -13,11 +13,12 @@ import numpy as np
 
 from climber.controller import Command, Controller
 from climber.simulation import RobotRun, Track
-from climber.simulation_model import FOOT_RADIUS, RIM, World
+from climber.simulation_model import FOOT_RADIUS, World
 from climber.stance import Vector
 from climber.wall import Wall
 
 OFF = 0.003  # a holding foot so far from its hold has left it [m]
+BEYOND = 0.002  # or so far beyond the edge of the patch, rolling of the foot removed [m]
 ASTRAY = 0.05  # a pelvis so far from where it should be is falling [m]
 
 
@@ -55,8 +56,8 @@ class Footing:
             self.slip = float(np.linalg.norm(place - self._taken))
             self.lost = self.slip > OFF
             return
-        reach = self._hold.half_width + RIM
-        self.lost = gap > OFF or math.hypot(*(self._across @ away)) > reach
+        reach = self._hold.half_width + BEYOND
+        self.lost = gap > OFF or math.hypot(*(self._across @ (away + self._rolled))) > reach
         if self._taken is None:
             if gap <= 0.0:
                 self._taken = place

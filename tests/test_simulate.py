@@ -168,7 +168,7 @@ def test_torques_stay_within_what_the_motors_can():
 
 
 def test_with_too_little_friction_it_falls():
-    simulation = simulate(step_plan(), Perturbation(friction_scale=0.15))
+    simulation = simulate(step_plan(), Perturbation(friction_scale=0.001))
     assert simulation.fell
     assert not simulation.ok
     assert "left hold" in simulation.robots[0].fell
@@ -286,20 +286,20 @@ def test_the_command_reports_and_records(file, tmp_path, capsys):
 
 
 def test_the_command_says_no_when_the_robot_falls(file, capsys):
-    assert main(["simulate", str(file), "--friction-scale", "0.15", "--json"]) == 1
+    assert main(["simulate", str(file), "--friction-scale", "0.001", "--json"]) == 1
     facts = json.loads(capsys.readouterr().out)
     assert not facts["ok"]
     assert facts["runs"][0]["fell"]
-    assert facts["runs"][0]["perturbation"]["friction_scale"] == 0.15
+    assert facts["runs"][0]["perturbation"]["friction_scale"] == 0.001
     assert set(facts["runs"][0]["robots"][0]["torque"]) == set(step_plan().robots[0].joints)
 
 
 def test_the_command_counts_who_comes_through(file, capsys):
-    scales = ["--friction-scale", "1", "0.15", "--runs", "2", "--processes", "1"]
+    scales = ["--friction-scale", "1", "0.001", "--runs", "2", "--processes", "1"]
     assert main(["simulate", str(file), *scales]) == 1
     told = capsys.readouterr().out
     assert "2 of 2" in told
-    assert "friction x 0.15" in told
+    assert "friction x 0.001" in told
     assert "0 of 2" in told
     assert "certified by the plan" in told
     assert "first fall: seed 0" in told
