@@ -1,8 +1,8 @@
 """Who watches a robot in simulation: how far its feet slip, how far it is from its plan, and whether it falls.
 
 A robot has fallen when its pelvis is 50 mm from where it should be, or a holding foot 3 mm off its hold or 2 mm beyond
-the edge of its patch. A foot slips by what its contact point moves along the hold after it has taken hold: the path of the foot's
-centre less what it rolls, summed up as a vector, so that what it slips back does not count.
+the edge of its patch. A foot slips by what its contact point moves along the hold after it has taken hold: the path of
+the foot's centre less what it rolls, summed up as a vector, so that what it slips back does not count.
 """
 
 from __future__ import annotations
