@@ -12,6 +12,8 @@ from typing import Any, Literal
 import numpy as np
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.padding import Padding
+from rich.segment import Segment, Segments
+from rich.table import Table
 from rich.text import Text
 
 from climber.stance import Vector
@@ -112,20 +114,26 @@ class Verdict:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """The verdict as a table for a rich console; on a narrow one the places are on lines of their own."""
         yield Text(f"{self.source}: {'holds' if self.ok else 'DOES NOT HOLD'}", style="" if self.ok else "bold red")
-        rows = [("check", "worst", "limit")]
-        for check in self.checks:
-            sign = "\u2264" if check.sense == "at most" else "\u2265"
-            worst = "none" if check.worst is None else f"{check.worst:.3g}"
-            rows.append((check.name, worst, f"{sign} {check.limit:g} {check.unit}".strip()))
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = [f"{a:<{widths[0]}}  {b:>{widths[1]}}  {c:>{widths[2]}}" for a, b, c in rows]
         narrow = options.max_width < WIDE
-        yield Text(f"      {lines[0]}{'' if narrow else '  where'}", style="bold")
-        for check, line in zip(self.checks, lines[1:], strict=True):
-            mark = ("ok    ", "green") if check.ok else ("FAIL  ", "bold red")
-            yield Text.assemble(mark, line, "" if narrow else f"  {check.where}")
-            if narrow and check.where:
-                yield Padding(Text(check.where, "dim"), (0, 0, 0, 8))
+        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+        for heading, justify in (("", "left"), ("check", "left"), ("worst", "right"), ("limit", "right")):
+            table.add_column(heading, justify=justify, no_wrap=True)  # type: ignore[arg-type]
+        if not narrow:
+            table.add_column("where")
+        for check in self.checks:
+            worst = "none" if check.worst is None else f"{check.worst:.3g}"
+            sign = "\u2264" if check.sense == "at most" else "\u2265"
+            limit = f"{sign} {check.limit:g} {check.unit}".strip()
+            mark = Text("ok", "green") if check.ok else Text("FAIL", "bold red")
+            table.add_row(mark, check.name, worst, limit, *([] if narrow else [Text(check.where)]))
+        if not narrow:
+            yield table
+            return
+        lines = console.render_lines(table, options, pad=False)
+        for line, where in zip(lines, ["", *(check.where for check in self.checks)], strict=True):
+            yield Segments([*line, Segment.line()])
+            if where:
+                yield Padding(Text(where, "dim"), (0, 0, 0, 8))
 
     def __str__(self) -> str:
         console = Console(file=io.StringIO(), width=160, color_system=None)
