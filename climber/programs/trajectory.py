@@ -117,6 +117,11 @@ class ChartProgram:
         second = np.diff(np.eye(count + 1), n=2, axis=0) * np.sqrt(smoothing / ds**3)
         self._difference = np.concatenate([first, second])  # r = difference @ q
         self._normal = self._difference.T @ self._difference  # (S + 1, S + 1)
+        # Samples farther apart than two have no difference in common: of the pairs of samples, only those nearer count.
+        self._pairs = np.array([(s, t) for s in range(count + 1) for t in range(s - 2, s + 3) if 0 <= t <= count]).T
+        s, t = self._pairs
+        weights = self._normal[s, t][:, None, None] * self.basis[s][:, :, None] * self.basis[t][:, None]
+        self._weights = weights.reshape(len(s), -1).T  # (N * N, pairs)
 
     def cost(self, control: Vector, scale: Vector | float = 1.0) -> float:
         """The objective (1) of control points, shape (num_control, num_coordinates).
@@ -147,10 +152,11 @@ class ChartProgram:
         near = self.conditions.linearised(self.basis @ control, WATCH)
         # dq_i/du_jc = B_j(s_i) dq/du_c
         dq = near.dq * np.broadcast_to(scale, near.q.shape[1:])[:, None]
-        J = np.einsum("sj,sqc->sqjc", self.basis, dq).reshape(len(self.s), -1, size)
-        weighted = np.tensordot(self._normal, J, 1)
-        P = 2 * np.tensordot(J, weighted, ((0, 1), (0, 1)))
-        c = 2 * np.tensordot(near.q * scale, weighted, ((0, 1), (0, 1)))
+        s, t = self._pairs
+        N, n = control.shape
+        products = dq.swapaxes(1, 2)[s] @ dq[t]  # (pairs, n, n)
+        P = 2 * (self._weights @ products.reshape(len(s), -1)).reshape(N, N, n, n).swapaxes(1, 2).reshape(size, size)
+        c = 2 * (self.basis.T @ np.einsum("sq,sqc->sc", self._normal @ (near.q * scale), dq)).ravel()
         bound = radius / self.chart.scale
         room = near.value - np.minimum(near.value, backoff)
         # The basis adds up to one, so no sample leaves the trust region, and most conditions have room for all of it.

@@ -136,17 +136,21 @@ class MoveProgram:
         names: list[str] = []
         for p, (program, curve) in enumerate(zip(self._programs, curves, strict=True)):
             own, n = slice(int(self._first[p]), int(self._first[p + 1])), curve.control.shape[1]
-            # How all control points of the curve follow from the unknowns.
-            E = np.zeros((curve.control.size, size))
-            E[n:-n, own] = np.eye(curve.control.size - 2 * n)
+            part = program.whole(curve.control, radius, backoff, self._scale)
+            # How control points of the curve follow from the unknowns: the inner ones are, the ends follow meetings.
+            follow = [(slice(n, -n), own, np.eye(curve.control.size - 2 * n))]
             for k, rows in ((p - 1, slice(0, n)), (p, slice(-n, None))):
                 if 0 <= k < len(meetings) and (place := self._place(k)).start < place.stop:
                     still = curve.chart.coordinates(near[k].q[0])
-                    E[rows, place] = (curve.chart.coordinates(near[k].q[0] + near[k].dq[0].T) - still).T
-            part = program.whole(curve.control, radius, backoff, self._scale)
-            P += self._weights[p] * E.T @ part.P @ E
-            c += self._weights[p] * part.c @ E
-            A.append(part.A @ E)
+                    E = (curve.chart.coordinates(near[k].q[0] + near[k].dq[0].T) - still).T
+                    follow.append((rows, place, E))
+            held = np.zeros((len(part.b), size))
+            for rows, place, E in follow:
+                for others, beside, F in follow:
+                    P[place, beside] += self._weights[p] * E.T @ part.P[rows, others] @ F
+                c[place] += self._weights[p] * part.c[rows] @ E
+                held[:, place] += part.A[:, rows] @ E
+            A.append(held)
             b.append(part.b)
             names += part.names
             bound = np.tile(radius / curve.chart.scale, len(curve.control) - 2)
