@@ -36,9 +36,9 @@ from climber.wall import GRAVITY
 PELVIS_SPEED, PELVIS_TURN = 1.0, 2.0  # [m/s, rad/s] the pelvis has no limit of its own
 HOLDING = 2 / 3  # share of their speed limits that the joints of limbs in contact use
 JERK = 1000.0  # [rad/s^3] of joints: full acceleration in some 50 ms
-# What the samples keep to: less than what postures are chosen with (`climber.programs.torque.MARGIN`), so that there is
-# room to move in even where a posture is at the edge of what can be held.
-MARGIN = Margin(force=0.002)
+# What samples keep to: less than what postures are chosen with (`climber.programs.torque`), in forces and in torques,
+# so that there is room to move in even where a posture is at the edge of what can be held.
+MARGIN = Margin(force=0.002, torque=0.08)
 RESERVE = 0.5  # share of the accelerations that contacts and motors could make which a motion has
 INTERVALS = 15.0  # of the speed profile, per second at full joint rates
 FEWEST_AND_MOST = (12, 80)  # of these intervals

@@ -35,8 +35,6 @@ from climber.wall import Wall
 if TYPE_CHECKING:
     from climber.demands import Demands
 
-WEAK = 2.0  # times what a motor gives is far more than it gives
-
 
 @dataclass(frozen=True)
 class Margins:
@@ -48,12 +46,15 @@ class Margins:
         clearance: Between links, pelvis and obstacles [m].
         balance: Of the support's border [m], but never more than two fifths of the way to its middle. At the border
             feet have no force to spare: with 2 mm a controller had 0.04 N of room, and a robot fell in simulation.
+        line: Of the feet that hold, in space, from any line [m], for one of them at least. Nothing keeps a robot from
+            turning about a line on which all its feet stand.
     """
 
     reach: float = 0.001
     joint: float = 0.02
     clearance: float = 0.001
     balance: float = 0.005
+    line: float = 0.02
 
 
 class Body:
@@ -95,14 +96,6 @@ class Body:
             int(np.sin(q[limb.q]).min(initial=0.0) < 0) if inverse is None else inverse.branch(q[limb.q])
             for inverse, limb in zip(self.inverse, self.robot.limbs, strict=True)
         )
-
-    @cached_property
-    def weak(self) -> bool:
-        """Whether motors cannot hold just any posture: if a limb stretched out would take far more than they give."""
-        robot = self.robot
-        driven = robot.effort[robot.effort > 0.0]
-        weight = robot.mass * float(np.linalg.norm(robot.gravity))
-        return bool(weight * robot.reach.max() > WEAK * driven.min(initial=np.inf))
 
     def without_inverse(self, limbs: Iterable[int]) -> tuple[int, ...]:
         """Those of some limbs that have no inverse kinematics, in limb order."""
@@ -327,7 +320,7 @@ class Manifold:
         Motors that are not weak are taken to hold whatever is balanced; `climber.programs.torque` asks at every sample
         of a motion.
         """
-        if not self.body.weak:
+        if not self.body.robot.weak:
             return np.ones(len(q), dtype=bool)
         return static_feasible(self.body.robot, self.body.wall, q, self.contacts)
 

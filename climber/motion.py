@@ -29,6 +29,7 @@ from climber.stance import Contact, Move, Vector
 from climber.transition import Postures
 from climber.transitions import MoveFailure, TransitionFinder
 
+WEAK_SHARE = 0.3  # of the attempts that the budget allows for a phase, where motors are weak: each takes a second
 LOOKS = 60  # ways through the candidates that are looked at for straight lines, at a few hundredths of a second each
 
 Regions = Mapping[int, Sequence[BaseGeometry | None]]
@@ -122,10 +123,13 @@ class MotionPlanner:
         """Motions through the layers, by the cheapest way for which all of them work out."""
         chosen = self._straightest(candidates, phases)
         chosen = self._together(candidates, phases, chosen, free_start)
-        if self.body.weak:  # what was drawn together may ask too much of the motors in between
+        if self.body.robot.weak:  # what was drawn together may ask too much of the motors in between
             chosen = self._straightest(candidates, phases)
         known: dict[tuple[int, int, int], Curves] = {}
         tried = [0] * len(phases)
+        attempts = self.budget.attempts
+        if self.body.robot.weak:
+            attempts = max(1, round(WEAK_SHARE * attempts))
         while True:
             outcome = self._by(candidates, phases, chosen, known, free_start)
             if isinstance(outcome, Way):
@@ -133,7 +137,7 @@ class MotionPlanner:
             i, failure = outcome
             tried[i] += 1
             self._bar(candidates, phases[i], (i, chosen[i], chosen[i + 1]))
-            if tried[i] >= self.budget.attempts:
+            if tried[i] >= attempts:
                 candidates.bar_phase(i)
             again = candidates.best()
             if again is None:
@@ -152,7 +156,7 @@ class MotionPlanner:
         """
         chosen = candidates.best()
         assert chosen is not None
-        if not self.body.weak:
+        if not self.body.robot.weak:
             return chosen
         known: set[tuple[int, int, int]] = set()
         for _ in range(LOOKS):

@@ -11,7 +11,7 @@ import numpy as np
 
 from climber.active import active_intervals
 from climber.dynamics import evaluate
-from climber.fastest import SHORTEST, FastLeg, RateLimits, failure, fastest_leg, foot_load, instants_of
+from climber.fastest import MARGIN, SHORTEST, FastLeg, RateLimits, failure, fastest_leg, foot_load, instants_of
 from climber.manifold import Body
 from climber.path import unwound
 from climber.plan_parts import PhaseTiming
@@ -189,7 +189,7 @@ def by_fixed_law(
             return f"even slowed to {sum(durations):.0f} s: {why}"
         samples = joined(_sampled(body.robot, paced, durations, budget.rate))
         dynamics = evaluate(body.robot, samples.q, samples.v, holding)
-        torques = phase_torques(body.robot, body.wall, list(contacts), dynamics, samples.vd)
+        torques = phase_torques(body.robot, body.wall, list(contacts), dynamics, samples.vd, MARGIN)
         if torques.ok.all():
             return samples, torques, PhaseTiming()
         why = torques.reason

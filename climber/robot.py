@@ -29,6 +29,7 @@ from climber.symmetry import symmetry_group
 from climber.wall import GRAVITY
 
 Indices = NDArray[np.int64]
+WEAK = 2.0  # times what a motor gives is far more than it gives
 
 
 @dataclass(frozen=True)
@@ -252,6 +253,17 @@ class Robot:
     def effort(self) -> Vector:
         """Effort limits of `joint_names` [N m], shape (num_joints,)."""
         return np.concatenate([limb.effort for limb in self.limbs])
+
+    @property
+    def weight(self) -> float:
+        """What its contacts carry where it stands still [N]."""
+        return self.mass * float(np.linalg.norm(self.gravity))
+
+    @cached_property
+    def weak(self) -> bool:
+        """Whether motors cannot hold just any posture: if a limb stretched out would take far more than they give."""
+        driven = self.effort[self.effort > 0.0]
+        return bool(self.weight * self.reach.max() > WEAK * driven.min(initial=np.inf))
 
     @cached_property
     def joint_limits(self) -> dict[str, tuple[float, float]]:

@@ -107,7 +107,7 @@ def advance(
             u, arrives = u[: every * (1 + int(bad[0]))], False
             if whole:
                 return u, False
-    if manifold.body.weak:
+    if manifold.body.robot.weak:
         q = chart.expand(u)[0]
         for every in (max(1, len(u) // 6), 1):
             bad = np.flatnonzero(~manifold.carried(q[every : len(u) : every]))

@@ -195,6 +195,13 @@ def between(before: Manifold, after: Manifold) -> Manifold:
     return Manifold(before.body, contacts, before.balanced.meet(after.balanced), exact)
 
 
+def _off_line(points: Vector) -> float:
+    """How far the farthest of some points, shape (k, 3), is from the line that is nearest to all of them [m]."""
+    centered = points - points.mean(axis=0)
+    along = np.linalg.svd(centered)[2][0]
+    return float(np.linalg.norm(centered - np.outer(centered @ along, along), axis=1).max())
+
+
 def spread(branches: Branches, value: Vector, most: int) -> NDArray[np.int64]:
     """Places of at most `most` postures: of each branch combination in turn, the one of most value."""
     kind = np.unique(branches, axis=0, return_inverse=True)[1].reshape(-1)
@@ -261,6 +268,10 @@ def find_transition(
         # In space moments about gravity must balance, and these depend on where the feet are.
         sure = body.robot.planar or spare == 0.0
         return Postures(ordered, *empty, Failure("proved" if sure else "budget", f"no forces of {who} balance gravity"))
+    off = _off_line(np.array([body.wall.point(c) for c in ordered if c.limb != limb]))
+    if not body.robot.planar and off < (margins or Margins()).line:
+        reason = f"the feet of the limbs other than {name} stand within {off:.3f} m of a line"
+        return Postures(ordered, *empty, Failure("budget", reason))
     both = between(
         Manifold(body, [c for c in ordered if c.limb != limb], holding, margins),
         Manifold(body, ordered, touching, margins),

@@ -295,7 +295,7 @@ def test_every_model_stands_with_all_limbs_and_with_one_in_the_air() -> None:
 
 
 def test_weak_motors_must_hold_what_is_feasible_and_strong_ones_are_not_asked() -> None:
-    weak = {model: Body(robot(model), Wall(())).weak for model in ("quadruped", "three_limbed", "lemur")}
+    weak = {model: robot(model).weak for model in ("quadruped", "three_limbed", "lemur")}
     assert weak == {"quadruped": False, "three_limbed": False, "lemur": True}
     here = case("lemur", 1)
     q = here.postures(np.random.default_rng(0), 100)

@@ -46,11 +46,10 @@ def sound(plan: Plan, in_space: bool) -> Setting:
     """What to simulate of a plan that verifies and is timed as it should be."""
     verdict = verify(plan)
     assert verdict.ok, str(verdict)
-    # Every phase is timed by the conic program, unless motors in space leave it no room, and if the phase leads
-    # anywhere, a limit keeps it from being faster.
+    # Every phase is timed by the conic program, and if it leads anywhere, a limit keeps it from being faster.
     phases = [phase for robot in plan.robots for phase in robot.phases]
-    assert in_space or {phase.timing.method for phase in phases} == {"conic"}
-    moving = [phase for phase in phases if phase.timing.method == "conic" and np.ptp(phase.q, axis=0).max() > 0.1]
+    assert {phase.timing.method for phase in phases} == {"conic"}
+    moving = [phase for phase in phases if np.ptp(phase.q, axis=0).max() > 0.1]
     # (A leg that was slowed because its samples showed more than the program saw is at no limit; in space more are.)
     assert moving and sum(not phase.timing.active for phase in moving) <= (0.2 if in_space else 0.1) * len(moving)
     return Setting(plan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -17,7 +18,8 @@ from climber import floating
 from climber.manifold import Body, Manifold, Margins
 from climber.newton import NewtonChart
 from climber.newton_sampler import NewtonSampler
-from climber.programs.torque import static_feasible
+from climber.programs.instants import Margin
+from climber.programs.torque import ROOM, static_feasible
 from climber.robot import Robot
 from climber.solids import Facet
 from climber.space_bases import SpaceBases
@@ -154,6 +156,29 @@ def test_most_of_them_can_be_held_by_the_motors(wall: int) -> None:
     here, postures = found(wall, 0)
     for contacts in (FOUR, FOUR[1:]):
         assert static_feasible(here.robot, here.wall, postures.q, contacts).mean() > 0.5
+
+
+@pytest.mark.parametrize(("aside", "in_line"), [(0.01, True), (0.05, False)])
+def test_no_limb_is_let_go_where_the_others_stand_in_a_line(aside: float, in_line: bool) -> None:
+    # The others hold a robot that does not turn about their line, but nothing keeps it from turning.
+    wall = face()
+    places = [(0.0, 0.25), (-0.22, 0.0), (0.0, -0.25), (1.5 * aside, 0.0)]
+    holds = tuple(
+        replace(hold, position=(x, y, hold.position[2])) for hold, (x, y) in zip(wall.holds, places, strict=True)
+    )
+    here = Body(Robot(LEMUR, wall.gravity), replace(wall, holds=holds))
+    assert support_of(here, [FOUR[0], FOUR[2], FOUR[3]]) is not None
+    found = find_transition(here, FOUR, 1, np.random.default_rng(0), rounds=(10,))
+    assert (found.failure is not None and "of a line" in found.failure.reason) == in_line
+
+
+@pytest.mark.parametrize("wall", range(len(WALLS)))
+def test_weak_motors_leave_forces_room_where_they_hold_a_posture(wall: int) -> None:
+    here, postures = found(wall, 0)
+    held = postures.q[static_feasible(here.robot, here.wall, postures.q, FOUR[1:])]
+    room = 0.99 * ROOM * here.robot.weight
+    assert room > 0.5 and len(held)
+    assert static_feasible(here.robot, here.wall, held, FOUR[1:], Margin(force=room, torque=0.099)).all()
 
 
 def test_postures_with_a_limb_in_the_air_leave_it_anywhere() -> None:

@@ -37,7 +37,7 @@ class Margin:
     """
 
     force: float = 0.01
-    torque: float = 0.05
+    torque: float = 0.1
 
 
 @dataclass(frozen=True)

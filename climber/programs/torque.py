@@ -30,6 +30,9 @@ Reason = Literal["", "torque limit", "friction cone", "force balance"]
 REASONS: tuple[Reason, ...] = ("", "torque limit", "friction cone", "force balance")  # ever graver
 TOLERANCE = torque_blocks.TOLERANCE
 MARGIN = Margin()
+# Share of its weight by which forces stay inside their limits where a robot with weak motors stands still. Where motors
+# are strong, a centre of mass inside its support leaves forces such room; weak ones cut into what it leaves.
+ROOM = 0.0075
 
 
 @dataclass(frozen=True)
@@ -275,8 +278,19 @@ def solve_instants(instants: Instants) -> TorqueBatch:
     return TorqueBatch(instants.force(t), instants.torque(t), violation, codes, instants.moment(t))
 
 
-def static_feasible(robot: Robot, wall: Wall, q: Vector, contacts: Sequence[Contact], margin: Margin = MARGIN) -> Mask:
-    """Which of the postures q, shape (K, nq), can be held still by the contacts and the motors, shape (K,)."""
+def static_feasible(
+    robot: Robot, wall: Wall, q: Vector, contacts: Sequence[Contact], margin: Margin | None = None
+) -> Mask:
+    """Which of the postures q, shape (K, nq), can be held still by the contacts and the motors, shape (K,).
+
+    Args:
+        robot: The robot.
+        wall: The wall.
+        q: The postures.
+        contacts: The limbs that hold and their holds.
+        margin: How far inside the limits; by default so far that a controller has something to correct with.
+    """
+    margin = margin or (Margin(force=ROOM * robot.weight) if robot.weak else MARGIN)
     limbs = [contact.limb for contact in contacts]
     h, J = evaluate_at_rest(robot, q, limbs)
     instants = Instants.of_loads(robot, _forces(robot, wall, contacts), h, J, margin, turning(robot, limbs))
