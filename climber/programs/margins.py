@@ -18,6 +18,7 @@ from climber.programs.survival import NUDGE, Instants
 from climber.robot import Indices
 from climber.stance import Vector
 
+MEASURED = 16  # instants whose balls are measured at a time
 GAP = 1e-2  # share of a margin that it may be short of the greatest, in the plane
 
 
@@ -82,6 +83,7 @@ class DisturbanceMargin:
         # A disturbance that no forces balance, of whatever size, is not survived at all.
         self._exact |= gap > 1e-7
         self.rho = np.where(self._exact, 0.0, np.minimum(far, cap))
+        self._moved = np.zeros(K, dtype=bool)  # instants with points farther out than when their balls were measured
 
     def solve(self) -> tuple[Worst, Vector]:
         """The margins, `which` being the nearest ray, and the directions that are worst, shape (P, D)."""
@@ -90,16 +92,14 @@ class DisturbanceMargin:
         value, best = np.zeros(P), np.full(P, self.cap)
         worst, which = starts[:-1].copy(), np.zeros(P, dtype=int)
         toward = np.zeros((P, self.rays.directions.shape[1]))
-        radius, face = np.empty(len(self.instants)), np.empty(len(self.instants), dtype=int)
+        self._radius, self._face, self.rho = self.rays.inscribed(self.rho)
         unfinished: Sequence[int] = range(P)
         while unfinished:
             wanted: list[tuple[int, int]] = []
             for p in unfinished:
-                span = slice(starts[p], starts[p + 1])
-                radius[span], face[span], self.rho[span] = self.rays.inscribed(self.rho[span])
-                k = int(starts[p] + np.argmin(radius[span]))
-                value[p] = radius[k]
-                corners = self.rays.faces[face[k]]
+                k = self._least(slice(starts[p], starts[p + 1]))
+                value[p] = self._radius[k]
+                corners = self.rays.faces[self._face[k]]
                 nearest = int(corners[np.argmin(self.rho[k, corners])])
                 missing = [(k, int(m)) for m in corners if not self._exact[k, m] and self.rho[k, m] < self.cap]
                 if not missing and self.rho[k, nearest] < best[p]:
@@ -115,6 +115,21 @@ class DisturbanceMargin:
                     if bound < best[p]:
                         best[p], worst[p], which[p], toward[p] = bound, k, m, foot
         return Worst(value, worst, which), toward
+
+    def _least(self, span: slice) -> int:
+        """The instant of a phase whose ball is the least.
+
+        Points on rays only ever move outwards, so that what an instant measured before is a bound from below. Only
+        those are measured again that it does not rule out.
+        """
+        while True:
+            k = int(span.start + np.argmin(self._radius[span]))
+            if not self._moved[k]:
+                return k
+            moved = span.start + np.flatnonzero(self._moved[span])
+            some = moved[np.argsort(self._radius[moved])[:MEASURED]]
+            self._radius[some], self._face[some], self.rho[some] = self.rays.inscribed(self.rho[some])
+            self._moved[some] = False
 
     def _refine(self, pairs: Indices) -> tuple[Vector, Vector]:
         """Solves programs of pairs of instants and rays; their forces are tried at the other instants of the phases.
@@ -153,4 +168,6 @@ class DisturbanceMargin:
         step = near.balanced(x, rho * self._right[span, m]) - center
         slope = (near.G @ step[:, :, None])[:, :, 0] - rho * self._limits[span, m]
         far = np.minimum(near.stepped(room, slope) * rho, self.cap)
-        self.rho[span, m] = np.where(self._exact[span, m], self.rho[span, m], np.maximum(self.rho[span, m], far))
+        farther = ~self._exact[span, m] & (far > self.rho[span, m])
+        self.rho[span, m] = np.where(farther, far, self.rho[span, m])
+        self._moved[span] |= farther
