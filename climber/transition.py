@@ -225,12 +225,11 @@ def first_carried(
     """
     if carried is None:
         return order[:most]
-    chosen = order[:0]
-    for begin in range(0, len(order), max(most, 1)):
-        batch = order[begin : begin + most]
+    chosen, begin, size = order[:0], 0, max(most, 1)
+    while begin < len(order) and len(chosen) < most:
+        batch = order[begin : begin + size]
         chosen = np.concatenate([chosen, batch[carried(q[batch])]])
-        if len(chosen) >= most:
-            break
+        begin, size = begin + size, 2 * size  # many at once cost less than a few at a time
     return chosen[:most]
 
 
