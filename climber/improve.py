@@ -1,10 +1,11 @@
 """A better climb for more time: the motion found is improved round by round, and never made worse.
 
-In every round a few neighbouring postures of the climb are given up for others: some near them, some drawn anew,
-perhaps with limbs bent the other way. These are drawn together (`programs.posture_chain`), and if the climb is cheaper
-by them the phases between are planned again, refined as a whole and timed. What comes out is kept only if the
-objective's value is better, so that the record of values against planning time goes down. The random numbers are the
-improver's own: as many rounds with the same seed give the same climb.
+In the first round, and now and then, all postures of the climb are given up for the cheapest way through many drawn
+anew; else a few neighbouring ones are, for some near them or drawn anew, perhaps with limbs bent the other way. These
+are drawn together (`programs.posture_chain`), and if the climb is cheaper by them the phases between are planned again,
+refined as a whole and timed. What comes out is kept only if the objective's value is better, so that the record of
+values against planning time goes down. The random numbers are the improver's own: as many rounds with the same seed
+give the same climb.
 """
 
 from __future__ import annotations
@@ -26,8 +27,10 @@ from climber.stance import Vector
 from climber.transition import posture_sampler
 from climber.transitions import MoveFailure
 
-MOST = 8  # postures given up at once
+MOST = 8  # postures given up at once, where it is not all of them
+WHOLE = 0.1  # share of the rounds, after the first, that give up all of them
 DRAWN = 300  # pelvis poses drawn for a posture that is to be quite another
+MANY = 1500  # and if all are: the more there are, the better the way through them
 OFF = 0.1  # how far off costs are that choose among these, in flips
 TRIED = 16  # places tried for one that is to be near
 NEAR = (0.03, 0.6)  # [rad] how far from the posture it replaces one that is to be near it may be, least and most
@@ -99,13 +102,14 @@ class Improver:
     def round(self, way: Way) -> Way | None:
         """Another climb, which may be better, or None if the attempt came to nothing."""
         self.rounds += 1
-        first, last = self._window(way)
+        whole = self.rounds == 1 or self._rng.random() < WHOLE
+        first, last = self._window(way, whole)
         # The phases from before the first posture that is given up to after the last one.
         begin, end = max(first - 1, 0), min(last + 1, len(way.stretches))
         stretches, old = way.stretches[begin:end], way.postures[begin : end + 1]
         free = first == 0, last == len(way.stretches)
         given = instants(stretches, _continuous(old, way), *free)
-        postures = self._others(given, stretches)
+        postures = self._anew(given, stretches, MANY, 0.0) if whole else self._others(given, stretches)
         if postures is None:
             return None
         before = self._cost(given, [instant.q for instant in given], stretches)
@@ -121,18 +125,20 @@ class Improver:
             curves.append(found)
         return self._replaced(way, begin, self._planner.joined(stretches, curves))
 
-    def _window(self, way: Way) -> tuple[int, int]:
-        """The first and the last posture to be given up."""
+    def _window(self, way: Way, whole: bool) -> tuple[int, int]:
+        """The first and the last posture to be given up, of all if the whole climb is."""
         count = len(way.stretches)
         least = 0 if way.free_start and way.stretches[0].limb is None else 1
         most = count if way.stretches[-1].limb is None else count - 1
+        if whole:
+            return least, max(least, most)
         first = int(self._rng.integers(least, most + 1)) if most >= least else least
         return first, min(first + int(self._rng.integers(MOST)), most)
 
     def _others(self, given: Sequence[Instant], stretches: Sequence[Stretch]) -> list[Vector] | None:
         """Other postures in place of the free ones; None if there are none."""
         if self._rng.random() < 0.5:
-            return self._anew(given, stretches)
+            return self._anew(given, stretches, DRAWN, OFF)
         result = [self._near(instant) if instant.free else instant.q for instant in given]
         changed = any(not np.array_equal(q, instant.q) for q, instant in zip(result, given, strict=True))
         return result if changed else None
@@ -150,18 +156,27 @@ class Improver:
         near = self._in_region(instant, q[good])
         return np.asarray(near[0]) if len(near) else instant.q
 
-    def _anew(self, given: Sequence[Instant], stretches: Sequence[Stretch]) -> list[Vector] | None:
-        """The cheapest way through postures drawn anew in place of the free ones, with costs that are a little off."""
+    def _anew(
+        self, given: Sequence[Instant], stretches: Sequence[Stretch], count: int, off: float
+    ) -> list[Vector] | None:
+        """The cheapest way through postures drawn anew in place of the free ones.
+
+        Args:
+            given: The postures, and what others must satisfy.
+            stretches: The phases between.
+            count: Pelvis poses drawn for each.
+            off: How far off costs are, in flips.
+        """
         body = self._planner.body
         layers = []
         for k, instant in enumerate(given):
             q, own = instant.q[None], stretches[max(k - 1, 0)].manifold.points
             if instant.free and not instant.manifold.rigid:
-                drawn = self._in_region(instant, posture_sampler(body, instant.manifold).draw(self._rng, DRAWN)[0])
+                drawn = self._in_region(instant, posture_sampler(body, instant.manifold).draw(self._rng, count)[0])
                 q = unwound(drawn, instant.q, body.robot.angle_q) if len(drawn) else q
             branches = np.array([body.branches(row) for row in q], dtype=np.int64)
             cost = self._planner.objective.standing(instant.manifold, q)
-            cost = cost + self._rng.exponential(OFF * self._planner.objective.flip, len(q))
+            cost = cost + self._rng.exponential(off * self._planner.objective.flip, len(q))
             layers.append(Layer(instant.manifold.contacts, q, branches, tuple(sorted(own)), cost))
         best = Candidates(layers, body.robot.angle_q, self._planner.objective).best()
         return None if best is None else [layer.q[j] for layer, j in zip(layers, best, strict=True)]

@@ -76,6 +76,17 @@ def test_rounds_find_shorter_climbs() -> None:
     assert min(gains) >= 0.0 and max(gains) > 0.0
 
 
+def test_one_round_makes_climbs_through_arbitrary_postures_much_the_same_length() -> None:
+    lengths = []
+    for seed in range(3):
+        planner, way = beginning(count=4, seed=seed, free_start=True)
+        _, progress = Improver(planner.phases, planner.budget, 0).improve(way, time.perf_counter(), 1)
+        lengths.append([value for _, value in progress.entries])
+    before, after = ([values[at] for values in lengths] for at in (0, -1))
+    assert max(before) > 1.05 * min(before)
+    assert max(after) < 1.01 * min(after) <= min(before)
+
+
 def test_a_climb_keeps_the_margins_asked_for_where_it_would_give_them_up_for_a_shorter_one() -> None:
     push = 1.0  # [N]
     planner, way = beginning(free_start=True, push=push)
