@@ -100,12 +100,15 @@ class PhaseInstants:
         )
 
     def columns(self, index: Indices) -> Vector:
-        """Generalised force of each contact force and moment, shape (len(index), nv, n)."""
+        """Generalised force of each contact force, and moment about z if any is given, shape (len(index), nv, n)."""
         J = self.dynamics.J[index]
         wrench = np.swapaxes(J, 1, 2)
         if not self.grips.moment.any():
             return wrench
-        return np.concatenate([wrench, np.swapaxes(self.turns[self.phase[index]], 1, 2)], axis=2)
+        # A moment that a hold does not give must move nothing, or forces that are otherwise free would seem to need it.
+        given = (self.grips.moment > 0.0).reshape(-1, self.num_contacts)[self.phase[index]]
+        turns = self.foot_turns[index][:, :, 2] * given[:, :, None]
+        return np.concatenate([wrench, np.swapaxes(turns, 1, 2)], axis=2)
 
     @cached_property
     def instants(self) -> Instants:

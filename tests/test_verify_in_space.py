@@ -73,6 +73,19 @@ def test_forces_that_holds_do_not_give_are_found(checks: set[str], old: str, new
     assert failing(with_margins(retold(climb_plan(), old, new)).to_json()) == checks
 
 
+def test_a_pin_that_takes_moments_beside_holds_that_take_none_makes_no_margin_less() -> None:
+    right_front = "normal: [0.0, 1.0, -0.5]"
+    pinned, turned = (
+        with_margins(retold(climb_plan(), right_front, f"{right_front}, grip: pin, max_moment: {moment}"))
+        for moment in (0.0, 1.0)
+    )
+    for number, phase in enumerate(turned.robots[0].phases):
+        for kind, margin in phase.margins.items():
+            assert margin.value >= 0.97 * pinned.robots[0].phases[number].margins[kind].value
+    verdict = verify(turned)
+    assert verdict.ok, str(verdict)
+
+
 def test_errors_are_tried_in_the_direction_that_is_named_too() -> None:
     """It is that of the worst case, between the directions all around."""
     normal = f"{PHASE}/1/margins/normal"
