@@ -111,10 +111,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _natural(text: str) -> int:
-    number = int(text)
-    if number < 0:
+    if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"{text}: a whole number, 0 or greater")
-    return number
+    return int(text)
 
 
 def _margin(text: str) -> tuple[str, float]:
@@ -126,17 +125,23 @@ def _margin(text: str) -> tuple[str, float]:
 
 
 def _positive(text: str) -> float:
-    number = float(text)
-    if not 0.0 < number < float("inf"):
+    if not 0.0 < _number(text) < float("inf"):
         raise argparse.ArgumentTypeError(f"{text}: a number of seconds, greater than 0")
-    return number
+    return float(text)
 
 
 def _seconds(text: str) -> float:
-    number = float(text)
-    if not 0.0 <= number < float("inf"):
+    if not 0.0 <= _number(text) < float("inf"):
         raise argparse.ArgumentTypeError(f"{text}: a number of seconds, 0 or greater")
-    return number
+    return float(text)
+
+
+def _number(text: str) -> float:
+    """The number that a text stands for, NaN if it stands for none."""
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
 
 
 def _solve(options: argparse.Namespace) -> int:

@@ -77,6 +77,27 @@ def test_bad_input_is_exit_code_two_and_one_sentence(
     assert "Traceback" not in error
 
 
+@pytest.mark.parametrize(
+    ("option", "given", "allowed"),
+    [
+        ("--seed", "x", "a whole number, 0 or greater"),
+        ("--seed", "1.5", "a whole number, 0 or greater"),
+        ("--time-limit", "soon", "a number of seconds, greater than 0"),
+        ("--time-limit", "0", "a number of seconds, greater than 0"),
+        ("--improve", "x", "a number of seconds, 0 or greater"),
+        ("--improve", "nan", "a number of seconds, 0 or greater"),
+        ("--min-margin", "push=hard", "KIND=SIZE is expected"),
+    ],
+)
+def test_what_an_option_allows_is_said(
+    option: str, given: str, allowed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as raised:
+        main(["solve", "basic", "--out", "x", option, given])
+    assert raised.value.code == 2
+    assert f"argument {option}: {given}: {allowed}" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("arguments", [["solve", "basic", "--out", "x", "--seed", "-1"], ["fly"], []])
 def test_a_wrong_call_is_exit_code_two(arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as raised:
