@@ -30,7 +30,7 @@ from platform import python_version
 
 from climber.climb_search import ClimbSearch, Report
 from climber.plan_file import Plan
-from climber.plan_parts import ObjectiveKind
+from climber.plan_parts import MARGIN_KINDS, ObjectiveKind
 from climber.scenario import Scenario
 from climber.team_plan import plan_team
 
@@ -84,6 +84,7 @@ def plan_climb(
         scenario_text=scenario.source,
         seed=seed,
         robots=robots,
+        min_margin={kind: min_margin[kind] for kind in MARGIN_KINDS if kind in min_margin} if min_margin else {},
         software=software(),
         timings={name: round(seconds, 4) for name, seconds in timings.items()},
     )

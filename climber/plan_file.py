@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,11 @@ from typing import Any
 from climber.exceptions import PlanFileError
 from climber.files import write_text
 from climber.plan_json import parse, render
-from climber.plan_parts import Phase, RobotPlan
-from climber.plan_reader import read_robot
+from climber.plan_parts import MarginKind, Phase, RobotPlan
+from climber.plan_reader import read_least, read_robot
 
 FORMAT = "climber-plan"
-VERSION = 2
+VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class Plan:
         robots: One plan for each of the scenario's robots, in its order.
         software: Version of each program that had a part in it.
         timings: Seconds spent in each stage.
+        min_margin: What every phase was to survive beyond what the scenario asks, by kind, in the kind's own unit.
     """
 
     scenario_path: str
@@ -38,6 +40,7 @@ class Plan:
     robots: tuple[RobotPlan, ...]
     software: dict[str, str] = field(default_factory=dict)
     timings: dict[str, float] = field(default_factory=dict)
+    min_margin: Mapping[MarginKind, float] = field(default_factory=dict)
 
     def to_json(self) -> str:
         """The plan as the text of a plan file."""
@@ -48,6 +51,7 @@ class Plan:
                 "scenario": {"path": self.scenario_path, "text": self.scenario_text},
                 "software": self.software,
                 "seed": self.seed,
+                "min_margin": dict(self.min_margin),
                 "timings": self.timings,
                 "robots": [_robot_to_dict(robot) for robot in self.robots],
             }
@@ -70,13 +74,14 @@ class Plan:
             raise marks["format"].error(f"{FORMAT!r} is expected; this is not a plan file")
         if marks["version"].value != VERSION or isinstance(marks["version"].value, bool):
             raise marks["version"].error(f"this program reads version {VERSION}")
-        fields = root.fields(["format", "version", "scenario", "software", "seed", "timings", "robots"])
+        fields = root.fields(["format", "version", "scenario", "software", "seed", "min_margin", "timings", "robots"])
         scenario = fields["scenario"].fields(["path", "text"])
         robots = fields["robots"].items(at_least=1)
         return cls(
             scenario_path=scenario["path"].text(),
             scenario_text=scenario["text"].text(),
             seed=fields["seed"].integer(),
+            min_margin=read_least(fields["min_margin"]),
             robots=tuple(read_robot(robot) for robot in robots),
             software={name: node.text() for name, node in fields["software"].entries().items()},
             timings={name: node.number() for name, node in fields["timings"].entries().items()},

@@ -18,6 +18,7 @@ from climber.plan_parts import (
     Cut,
     CutKind,
     CutStage,
+    MarginKind,
     ObjectiveKind,
     Phase,
     PhaseContact,
@@ -55,6 +56,19 @@ def read_robot(node: Node) -> RobotPlan:
     )
     phases = tuple(_read_phase(phase, robot) for phase in fields["phases"].items(at_least=1))
     return RobotPlan(**{**vars(robot), "phases": phases})
+
+
+def read_least(node: Node) -> dict[MarginKind, float]:
+    """What a plan file says every phase was to survive, by kind."""
+    least: dict[MarginKind, float] = {}
+    for name, entry in node.entries().items():
+        kind = next((known for known in MARGIN_KINDS if known == name), None)
+        if kind is None:
+            raise entry.error(f"margins are of {', '.join(MARGIN_KINDS)}")
+        least[kind] = entry.number()
+        if least[kind] < 0.0:
+            raise entry.error("a number, 0 or greater, is expected")
+    return least
 
 
 def _read_objective(node: Node) -> Achieved:

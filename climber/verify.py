@@ -12,7 +12,7 @@ from pathlib import Path
 
 from climber.exceptions import ModelError, PlanFileError, ScenarioError
 from climber.plan_file import Plan
-from climber.plan_parts import RobotPlan
+from climber.plan_parts import MARGIN_KINDS, RobotPlan
 from climber.robot import Model, Robot
 from climber.scenario import Scenario, check_against_robot, scenario_from_text
 from climber.verdict import Check, Ledger, Verdict
@@ -55,13 +55,15 @@ def verify(plan: Plan | str | Path) -> Verdict:
         raise PlanFileError(f"{source}: robots: the scenario's robots are expected: {', '.join(names)}")
     wall = scenario.build_wall()
     ledger = Ledger(RULES)
+    of_scenario = vars(scenario.min_margin)
+    asked = {kind: max(of_scenario[kind], read.min_margin.get(kind, 0.0)) for kind in MARGIN_KINDS}
     robots = [_robot(scenario, number, robot_plan, wall, source) for number, robot_plan in enumerate(read.robots)]
     for number, (robot, robot_plan) in enumerate(zip(robots, read.robots, strict=True)):
         spec = scenario.robots[number]
         StructureChecks(robot, wall, spec, robot_plan, ledger).check()
         MotionChecks(robot, wall, spec, robot_plan, ledger).check()
         TimingChecks(robot, wall, robot_plan, ledger).check()
-        MarginChecks(robot, wall, vars(scenario.min_margin), robot_plan, ledger).check()
+        MarginChecks(robot, wall, asked, robot_plan, ledger).check()
         ObjectiveChecks(robot, wall, robot_plan, ledger).check()
     if len(robots) > 1:
         TeamChecks(robots, read.robots, ledger).check()

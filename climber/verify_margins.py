@@ -65,7 +65,9 @@ def _in_parts(needs: list[Need], dimension: int) -> tuple[list[Vector], Vector]:
 class MarginChecks:
     """Goes through the margins of a robot's phases and takes down what it finds."""
 
-    def __init__(self, robot: Robot, wall: Wall, asked: Mapping[str, float], plan: RobotPlan, ledger: Ledger) -> None:
+    def __init__(
+        self, robot: Robot, wall: Wall, asked: Mapping[MarginKind, float], plan: RobotPlan, ledger: Ledger
+    ) -> None:
         self._robot, self._wall, self._plan, self._ledger, self._asked = robot, wall, plan, ledger, asked
         self._planar = robot.planar
         self._dimension = 2 if robot.planar else 3

@@ -79,7 +79,10 @@ RULES: Final[dict[str, Rule]] = {
         "errors of each kind are survived as claimed (force or torque lacking)", "at most", MARGIN, "N, N m"
     ),
     "asked margins": Rule(
-        "every phase survives what the scenario asks for (shortfall, as a share)", "at most", SAME, ""
+        "every phase survives what the scenario and the plan's `min_margin` ask for (shortfall, as a share)",
+        "at most",
+        SAME,
+        "",
     ),
     "worst instants": Rule("greater errors are not survived where the plan says so", "at most", 0, "faults"),
     "objective": Rule("the objective's value is that of the phases", "at most", VALUE, "m, rad, s"),

@@ -19,13 +19,14 @@ from climber.plan_file import Plan
 from climber.scenario import load_scenario, scenario_from_text
 from climber.verify import verify
 
-ASKED = "min_margin: {push: 0.4, friction: 0.02}\n"
+ASKED = "min_margin: {push: 0.4}\n"
 
 
 @pytest.fixture(scope="module")
 def asked() -> Plan:
     basic = load_scenario("basic")
-    return plan_climb(scenario_from_text(basic.source + ASKED, "basic.yaml", basic.folder))
+    scenario = scenario_from_text(basic.source + ASKED, "basic.yaml", basic.folder)
+    return plan_climb(scenario, min_margin={"friction": 0.02})
 
 
 def test_a_plan_has_the_margins_that_were_asked_for(asked: Plan) -> None:
@@ -48,6 +49,12 @@ def test_a_margin_below_what_the_scenario_asks_for_is_found() -> None:
     demanding = with_margins(Plan.from_json(edited(step_plan(), "scenario/text", text + "min_margin: {push: 7.0}\n")))
     assert verify(demanding).ok
     more = edited(demanding, "scenario/text", lambda old: old.replace("push: 7.0", "push: 7.5"))
+    assert {check.name for check in verify(Plan.from_json(more)).failures} == {"asked margins"}
+
+
+def test_a_plan_tells_what_was_asked_for_besides_the_scenario(asked: Plan) -> None:
+    assert Plan.from_json(asked.to_json()).min_margin == {"friction": 0.02}
+    more = edited(asked, "min_margin/friction", 1.01 * min(p.margins["friction"].value for p in asked.robots[0].phases))
     assert {check.name for check in verify(Plan.from_json(more)).failures} == {"asked margins"}
 
 
