@@ -38,6 +38,20 @@ _SPREADS = {
     "incut": "angles of the normals into the wall from straight against gravity: normal, clipped; in space [degrees]",
 }
 
+_SPACE = tuple(kind for kind in KINDS if kind != "plane")
+_ONLY = {  # options that only some kinds of wall have a use for
+    "angle_deg": ("inside_corner", "outside_corner"),
+    "gap": ("chimney",),
+    "problem": ("board",),
+    "standoff": _SPACE,
+    "incut": tuple(kind for kind in _SPACE if kind != "chimney"),
+    "incut_limits": tuple(kind for kind in _SPACE if kind != "chimney"),
+    "aspect": tuple(kind for kind in KINDS if kind not in ("chimney", "board")),
+    "spacing": tuple(kind for kind in KINDS if kind not in ("chimney", "board")),
+    "density": tuple(kind for kind in KINDS if kind != "board"),
+    "holds": tuple(kind for kind in KINDS if kind != "board"),
+}
+
 
 def add_wall_command(commands: Any) -> argparse.ArgumentParser:
     """Adds `wall` to the subcommands of a parser."""
@@ -51,7 +65,7 @@ def add_wall_command(commands: Any) -> argparse.ArgumentParser:
     parser.add_argument("--kind", choices=tuple(KINDS), default="plane", help=words)
     parser.add_argument("--holds", type=int, help="number of holds; a board has its own")
     for name, (what, kind) in _NUMBERS.items():
-        flag = f"--{name.removesuffix('_deg').replace('_', '-')}"
+        flag = _flag(name)
         parser.add_argument(flag, dest=name, type=kind, help=f"{what} (default: {getattr(_PLAIN, name):g})")
     for name, what in _SPREADS.items():
         spread: Spread = getattr(_PLAIN, name)
@@ -72,12 +86,20 @@ def add_wall_command(commands: Any) -> argparse.ArgumentParser:
     return parser
 
 
+def _flag(name: str) -> str:
+    """The option that gives a field of the recipe."""
+    return f"--{name.removesuffix('_deg').replace('_', '-')}"
+
+
 def recipe_of(options: argparse.Namespace) -> Recipe:
     """The recipe that the options of the command stand for.
 
     Raises:
-        ClimberError: If it is not said how many holds there are.
+        ClimberError: If it is not said how many holds there are, or something that the kind of wall has no use for.
     """
+    for name, kinds in _ONLY.items():
+        if getattr(options, name) is not None and options.kind not in kinds:
+            raise ClimberError(f"{_flag(name)} is given for a wall of kind {options.kind}; allowed: {', '.join(kinds)}")
     base = KINDS[options.kind]
     if options.holds is None and options.kind != "board":
         raise ClimberError("--holds is not given; allowed: the number of holds")
@@ -107,7 +129,7 @@ def _command(options: argparse.Namespace) -> str:
         if name in ("run", "json", "out") or value is None or (name, value) == ("kind", "plane"):
             continue
         values = value if isinstance(value, list) else [value]
-        flag = f"--{name.removesuffix('_deg').replace('_', '-')}"
+        flag = _flag(name)
         words += [flag, *(f"{v:g}" if isinstance(v, float) else str(v) for v in values)]
     return shlex.join([*words, "--out", options.out.name])
 

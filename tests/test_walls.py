@@ -171,6 +171,12 @@ def test_the_command_writes_the_same_scenario_again_and_says_how(tmp_path: Path,
             "take",
         ),
         (["--holds", "40", "--model", "no-such.urdf"], "no-such.urdf"),
+        (["--holds", "40", "--gap", "0.5"], "--gap is given for a wall of kind plane; allowed: chimney"),
+        (
+            ["--kind", "slab", "--holds", "40", "--angle", "90"],
+            "--angle is given for a wall of kind slab; allowed: ins",
+        ),
+        (["--kind", "board", "--holds", "40"], "--holds is given for a wall of kind board; allowed: plane, slab"),
     ],
 )
 def test_a_wall_that_cannot_be_made_is_exit_code_two_and_no_file(
