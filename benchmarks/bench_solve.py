@@ -99,6 +99,8 @@ def climber(*arguments: str) -> tuple[float, float, str]:
     if arguments[0] == "verify" and done.stdout:
         failed = (check for check in json.loads(done.stdout)["checks"] if not check["ok"])
         return seconds, busy, "; ".join(f"{check['name']} {check['worst']:.3g}" for check in failed)
+    if arguments[0] == "solve" and done.stdout:
+        return seconds, busy, json.loads(done.stdout)["reason"]
     return (
         seconds,
         busy,
