@@ -63,33 +63,30 @@ class Rays:
         with np.errstate(divide="ignore", invalid="ignore"):
             y = np.einsum("fxi,kfi->kfx", self._inverse, 1.0 / rho)
             length = np.linalg.norm(y, axis=2)
-        result = np.where(np.isfinite(length), 1.0 / np.maximum(length, 1e-300), 0.0)
-        measured = np.zeros(result.shape, dtype=bool)
-        unsure = np.arange(len(rho))
-        while len(unsure):  # until the nearest of all is itself measured, not only its plane
+            # Its point nearest to the origin is y / y^2: a sum of the u_i with these factors, times y^2.
+            inside = (np.einsum("fxi,kfx->kfi", self._inverse, y) >= 0.0).all(axis=2)
+        point = ~np.isfinite(length)  # a corner at the origin
+        result, measured = np.where(point, 0.0, 1.0 / np.maximum(length, 1e-300)), inside | point
+        while True:  # until the nearest of all is itself measured, not only its plane
+            unsure = np.flatnonzero(~measured[np.arange(len(rho)), result.argmin(axis=1)])
+            if not len(unsure):
+                return np.asarray(result)
             low = np.argpartition(np.where(measured[unsure], np.inf, result[unsure]), LOOKED_AT, axis=1)[:, :LOOKED_AT]
             place = unsure[:, None]
-            result[place, low] = _triangle(rho[place, low][..., None] * self.directions[self.faces[low]])
+            border = _border(rho[place, low][..., None] * self.directions[self.faces[low]])
+            result[place, low] = np.where(measured[place, low], result[place, low], border)
             measured[place, low] = True
-            unsure = unsure[~measured[unsure, result[unsure].argmin(axis=1)]]
-        return np.asarray(result)
 
     @cached_property
     def _inverse(self) -> Vector:
         return np.asarray(np.linalg.inv(self.directions[self.faces]))
 
 
-def _triangle(corners: Vector) -> Vector:
-    """Distance of triangles from the origin, shape (...), for corners of shape (..., 3, 3)."""
+def _border(corners: Vector) -> Vector:
+    """Distance of the sides of triangles from the origin, shape (...), for corners of shape (..., 3, 3)."""
     a, b, c = (corners[..., i, :] for i in range(3))
-    nearest: Vector = np.minimum.reduce([_segment(a, b), _segment(b, c), _segment(c, a)])
-    normal = np.cross(b - a, c - a)
-    square = (normal**2).sum(axis=-1)
-    foot = normal * ((normal * a).sum(axis=-1) / np.maximum(square, 1e-300))[..., None]
-    inside = square > 1e-30
-    for first, second in ((a, b), (b, c), (c, a)):
-        inside &= (np.cross(second - first, foot - first) * normal).sum(axis=-1) >= 0.0
-    return np.where(inside, np.linalg.norm(foot, axis=-1), nearest)
+    result: Vector = np.minimum.reduce([_segment(a, b), _segment(b, c), _segment(c, a)])
+    return result
 
 
 def _segment(a: Vector, b: Vector) -> Vector:
