@@ -40,7 +40,13 @@ KINDS: dict[str, Recipe] = {
     "plane": Recipe(),
     "slab": replace(SPACE, kind="slab", inclination_deg=60.0),
     "vertical": replace(SPACE, kind="vertical", incut=Spread(5.0, 5.0, -5.0, 15.0)),
-    "overhang": replace(SPACE, kind="overhang", inclination_deg=110.0, incut=Spread(20.0, 8.0, 5.0, 35.0)),
+    "overhang": replace(
+        SPACE,
+        kind="overhang",
+        inclination_deg=110.0,
+        friction=Spread(1.0, 0.05, 0.9, 1.1),
+        incut=Spread(8.0, 4.0, 0.0, 16.0),
+    ),
     "inside_corner": replace(SPACE, kind="inside_corner", angle_deg=140.0, incut=Spread(5.0, 5.0, -5.0, 15.0)),
     "outside_corner": replace(SPACE, kind="outside_corner", angle_deg=150.0, incut=Spread(5.0, 5.0, -5.0, 15.0)),
     "chimney": replace(
