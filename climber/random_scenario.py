@@ -32,7 +32,7 @@ from climber.wall_kinds import facet_specs, hold_specs, make_wall, off_problem
 NEIGHBOURS = 24  # holds around a place that stances there are made of
 TRIES = 12  # stances that can be held, tried at most at either end
 GOAL_RADIUS = 0.06  # [m]
-SECONDS = 120  # for a climb, and half a second more for each hold
+SECONDS, SECONDS_IN_SPACE = 120, 600  # for a climb, and half a second more for each hold
 
 
 @dataclass(frozen=True)
@@ -167,6 +167,7 @@ def scenario_text(recipe: Recipe, model: str, climb: RandomClimb, name: str, mad
     if facets:
         lines += ["  facets:", *(f"  - {{corners: {facet.corners}, thickness: {facet.thickness}}}" for facet in facets)]
     start = ", ".join(f"{limb}: {hold}" for limb, hold in climb.start.items())
+    seconds = SECONDS if recipe.kind == "plane" else SECONDS_IN_SPACE
     lines += [
         "robots:",
         "- name: climber",
@@ -175,7 +176,7 @@ def scenario_text(recipe: Recipe, model: str, climb: RandomClimb, name: str, mad
         "  goal:",
         f"    pelvis: {{circle: {{center: {climb.goal.center}, radius: {climb.goal.radius}}}}}",
         *([f"  avoid: {{holds: {barred}}}  # these are not of the problem"] if (barred := off_problem(recipe)) else []),
-        f"budget: {{time_limit_s: {SECONDS + recipe.holds // 2}}}",
+        f"budget: {{time_limit_s: {seconds + recipe.holds // 2}}}",
     ]
     return "\n".join(lines) + "\n"
 
