@@ -6,17 +6,15 @@ against one another until one slides. So the gains act on accelerations, and for
 
     (1) vd* = vd_ref + k_P e + k_D (v_ref - v), e = q_ref - q
     (2) vd  = the acceleration nearest to vd* at which holding feet come to rest: J_c vd + Jdot_c v = -k_F J_c v
-    (3) d'  = k_O Lambda (nu - nu_expected) / dt, Lambda = N^T M N: the disturbance, by what it did to the velocities nu
-        of the pelvis and of free limbs since the last command; N has the motions that these make with feet at rest
+    (3) d   = what else pushes the robot, by how its velocities differ from those expected (`climber.disturbance`)
     (4) lambda = the contact forces near the plan's, within friction and torques, that carry the robot in the rows u
         without a motor, J_u^T lambda = (M vd + h)_u - d_u (`climber.force_control`)
     (5) tau = (M vd + h - d)_a - J_a^T lambda in the rows a with one
 
-(3) is the observer of momentum (De Luca and Mattone 2003; Haddadin et al. 2017, 4.2) where feet that stand let the
-robot move: what pushes the robot, or makes it heavier, is found out in some 20 ms and carried by forces within friction
-from then on; there is nothing left for an integral of errors to do. (4) is the force control. If no forces carry the
-robot, vd in (5) is what those found make it do: accelerations give way, friction and torques do not. Of friction it
-leaves unused what the plan's margins say can be spared, since it is not told of holds that have less.
+(3) takes the place of an integral of errors: what pushes the robot, or makes it heavier, is found out in some 20 ms,
+and carried by forces within friction from then on. (4) is the force control. If no forces carry the robot, vd in (5) is
+what those found make it do: accelerations give way, friction and torques do not. Of friction it leaves unused what the
+plan's margins say can be spared, since the controller is not told of holds that have less.
 
 A trajectory generator (Bretl 2006) runs the plan's clock: it slows as the tracking error grows, and stops.
 """
@@ -28,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
+from climber.disturbance import Disturbance
 from climber.dynamics import Sampler, turning
 from climber.force_control import Demand, ForceControl
 from climber.reference import Desired, Reference
@@ -48,8 +47,6 @@ class Gains:
         pelvis: Natural frequency of the pelvis's errors [1/s]; they are critically damped.
         joint: Natural frequency of a free limb's joint errors [1/s]; critically damped.
         foot: How fast a holding foot that moves is brought to rest [1/s].
-        observer: How fast disturbances are found out [1/s].
-        most: What a disturbance may change the acceleration by in a time step at most [m/s^2, rad/s^2].
         approach: A foot that ends its swing off its hold goes on along the hold's normal this fast [m/s].
         settle: Joints of a limb that lets go elsewhere than planned are back on the plan after about this time [s].
         pelvis_error: The clock slows when the pelvis is this far off [m], and stops at twice of it.
@@ -60,8 +57,6 @@ class Gains:
     pelvis: float = 40.0
     joint: float = 80.0
     foot: float = 40.0
-    observer: float = 50.0
-    most: float = 50.0
     approach: float = 0.03
     settle: float = 0.1
     pelvis_error: float = 0.004
@@ -143,8 +138,8 @@ class Controller:
         self._tolerance = np.full(nv, self.gains.joint_error)
         self._tolerance[robot.base_v] = self.gains.pelvis_error
         self._tolerance[robot.angle_q] = self.gains.pelvis_angle
-        self._aside, self._felt, self.error = np.zeros(nv), np.zeros(nv), np.zeros(nv)
-        self._expected: Vector | None = None
+        self._aside, self.error = np.zeros(nv), np.zeros(nv)
+        self._disturbance = Disturbance(robot, time_step)
         self.phase, self.landing = 0, False
         self._stance = self._stand()
 
@@ -221,10 +216,11 @@ class Controller:
         """Goes on to the next phase."""
         before = set(self._stance.holding)
         self.phase, self.landing = self.phase + 1, False
-        self._stance, self._expected = self._stand(), None
+        self._stance = self._stand()
         for limb, its in enumerate(self.robot.limbs):
             if limb in before or limb in self._stance.holding:
-                self._aside[its.v] = self._felt[its.v] = 0.0
+                self._aside[its.v] = 0.0
+                self._disturbance.forget(its.v)
             if limb in before and limb not in self._stance.holding:
                 self._aside[its.v] = self.error[its.v]
 
@@ -248,7 +244,7 @@ class Controller:
             v: Measured velocities [m/s, rad/s], shape (nv,).
             toward: If the limb that arrives is to go on towards its hold, how fast: 1 against the normal, -1 along it.
         """
-        stance, gains, axes = self._stance, self.gains, self._axes
+        stance, gains = self._stance, self.gains
         desired = self.reference.at(self.phase, time)
         sampler = self._sampler
         sampler.plant.SetPositionsAndVelocities(sampler.context, np.concatenate([q, v]))
@@ -275,50 +271,70 @@ class Controller:
         # (3)
         M = sampler.plant.CalcMassMatrix(sampler.context)
         moved = M @ motions
-        if self._expected is not None:
-            off = np.clip(v[stance.free] - self._expected, -gains.most * self.time_step, gains.most * self.time_step)
-            self._felt[stance.free] += gains.observer * (motions.T @ moved @ off)
-        load = M @ vd + sampler.h() - self._felt
+        disturbance, weight = self._disturbance, self.weight()
+        disturbance.observe(v[stance.free], stance.free, motions.T @ moved)
+        disturbance.weigh(weight, self._at_center(), stance.free, motions)
+        more, rest = disturbance.parts(weight, stance.free, motions)
+        load = M @ vd + sampler.h() - more - rest
         # (4)
-        C = np.vstack([self._J[stance.rows], self._turning[list(stance.gripping)]])
-        planned = [desired.force[list(stance.holding), :axes].ravel(), desired.moment[list(stance.gripping)]]
-        yielding = moved[:, : len(self.robot.base_v)]
-        loose, driven = yielding[self._loose], yielding[self._driven]
-        gives = np.linalg.solve(loose.T @ loose + 1e-12 * np.eye(loose.shape[1]), loose.T)
-        E, G = C[:, self._loose].T, driven @ gives
-        demand = Demand(
-            wished=np.concatenate(planned),
-            E=E,
-            load=load[self._loose],
-            A=C[:, self._driven].T - G @ E,
-            c=load[self._driven] - G @ load[self._loose],
-            most=self._limits,
-            drop=desired.drop,
-            press=PRESS * float(np.linalg.norm(self._felt[self.robot.origin_q])),
-        )
+        base = slice(len(self.robot.base_v))
+        gives = _inverse(moved[self._loose, base])
+        push = float(np.linalg.norm(rest[self.robot.origin_q]))
+        demand = self._demand(desired, load, moved[self._driven, base] @ gives, push)
         forces = stance.control.forces(demand)
         # (5)
         torque = np.zeros(len(self.robot.joint_names))
         torque[self._motors] = np.clip(demand.c - demand.A @ forces, -self._limits, self._limits)
-        vd = vd + motions[:, : len(self.robot.base_v)] @ gives @ (E @ forces - demand.load)
-        self._expected = (v + self.time_step * vd)[stance.free]
+        vd = vd + motions[:, base] @ gives @ (demand.E @ forces - demand.load)
+        disturbance.expect((v + self.time_step * vd)[stance.free])
         return self._act(torque, forces, desired)
+
+    def _demand(self, desired: Desired, load: Vector, gives: Vector, push: float) -> Demand:
+        """What is asked of the contact forces.
+
+        Args:
+            desired: What the plan has.
+            load: M vd + h less disturbances [N, N m], shape (nv,).
+            gives: How the motors' rows of M vd change with those without a motor, if the pelvis gives way to these,
+                shape (motors, u).
+            push: Of the disturbances [N].
+        """
+        stance = self._stance
+        holding, gripping = list(stance.holding), list(stance.gripping)
+        J = np.vstack([self._J[stance.rows], self._turning[gripping]])
+        E = J[:, self._loose].T
+        return Demand(
+            wished=np.concatenate([desired.force[holding, : self._axes].ravel(), desired.moment[gripping]]),
+            E=E,
+            load=load[self._loose],
+            A=J[:, self._driven].T - gives @ E,
+            c=load[self._driven] - gives @ load[self._loose],
+            most=self._limits,
+            drop=desired.drop,
+            press=PRESS * push,
+        )
+
+    def weight(self) -> Vector:
+        """The robot's weight as generalised forces [N, N m], shape (nv,), in the state of the last command."""
+        return np.asarray(self._sampler.plant.CalcGravityGeneralizedForces(self._sampler.context))
 
     def pushed(self, force: Vector) -> Vector:
         """A push of the pelvis at the robot's centre of mass [N], shape (axes,), as generalised forces, shape (nv,).
 
         The state is that of the last command.
         """
+        result: Vector = self._at_center().T @ force
+        return result
+
+    def _at_center(self) -> Vector:
+        """How the pelvis moves where the centre of mass is, by velocities, shape (axes, nv)."""
         plant, context = self._sampler.plant, self._sampler.context
-        if not force.any():
-            return np.zeros(plant.num_velocities())
         pelvis, world = self.robot.pelvis, plant.world_frame()
         center = pelvis.EvalPoseInWorld(context).inverse().multiply(self.robot.center_of_mass(context))
         J = plant.CalcJacobianTranslationalVelocity(
             context, JacobianWrtVariable.kV, pelvis.body_frame(), center, world, world
         )
-        result: Vector = J[: len(force)].T @ force
-        return result
+        return np.asarray(J[: self._axes])
 
     def _following(self, J: Vector) -> tuple[Vector, Vector]:
         """How joints and pelvis are moved for holding feet to move as they must, shapes (nv, m): one after the other.
@@ -355,3 +371,8 @@ class Controller:
             moment[limb] = np.clip(forces[k], -most, most)
             applied += moment[limb] * self._turning[limb]
         return Command(torque, moment, force, applied)
+
+
+def _inverse(A: Vector) -> Vector:
+    """The pseudo-inverse of a matrix of full column rank."""
+    return np.asarray(np.linalg.solve(A.T @ A + 1e-12 * np.eye(A.shape[1]), A.T))

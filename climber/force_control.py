@@ -16,10 +16,16 @@ LIGHT = 0.1  # least readiness of a light foot to press harder, beside one with 
 SMOOTH = 0.05  # friction below which forces across the normal become no harder to change
 # What it costs to be one newton beyond a limit, where one newton along a normal off the wished force costs 1: the share
 # of friction that is to be used, the balance, and what holds and motors can do.
-SPARED, BALANCE, LIMIT = 1e3, 1e5, 1e8
+SPARED, BALANCE, LIMIT = 1e4, 1e7, 1e10
+LEVELS = (1.0, 0.5, 0.2)  # of the friction to be spared: beyond each it costs `DEARER` more, so that all feet share
+DEARER = 10.0
 INSIDE = 1e-4  # [N, N m] a limit that is exceeded by less is kept
-STEPS = 30  # of Newton's method at the most; two or three are taken
+STEPS = 12  # of Newton's method at the most
+FEW = 6  # steps from the solution of the moment before; two or three are taken
+GENTLER = (1e2, 1e4, 1e6, 1e8)  # greatest weights of programs on the way to a solution from afar
 SETTLED = 1e-4  # [N, N m] a step that is shorter ends it
+SHORTEST = 1e-3  # share of a step that is taken even if it does not help
+ROUNDING = 1e-12  # share of the cost
 TINY = 1e-9  # [N]
 
 
@@ -53,7 +59,7 @@ class ForceControl:
 
     Given wished forces x*, a load b and torques tau = c - A x,
 
-        min   |x - x*|^2_R + S sum_k ( (t_k - (1 - d) mu_k n_k)_+^2 + (press - n_k)_+^2 ) + B |E x - b|^2
+        min   |x - x*|^2_R + S sum_k ( sum_c (t_k - (1 - c d) mu_k n_k)_+^2 + (press - n_k)_+^2 ) + B |E x - b|^2
               + L ( sum_k (t_k - mu_k n_k)_+^2 + sum_k (least - n_k)_+^2 + sum_j (|tau_j| - tau_max,j)_+^2 )
 
     where n_k is the part of the force of foot k along its hold's normal, with a magnet's adhesion, and t_k the length
@@ -62,12 +68,15 @@ class ForceControl:
     is not asked for; the robot is carried as it should be if that can be done; the share d of friction is left unused
     if that can be; and what freedom remains goes to the wished forces. The cones are the exact, second-order ones. As
     everything is a penalty there always is a solution, which exceeds a limit by its multiplier over its weight: less
-    than a millinewton where forces within the limits exist.
+    than a millinewton for what cannot be done, if forces within the limits exist.
 
-    The program is convex, has a continuous gradient, and is quadratic but for the cones: Newton's method with the
-    second derivatives of what is exceeded (semismooth, Qi and Sun 1993) and halved steps takes a few steps of the size
-    of x, fewer from the forces of the moment before. Where the closed form for R alone, with E x = b, exceeds nothing,
-    it is the solution.
+    The sum over c is over `LEVELS`, with S `DEARER` from one to the next: friction that is to be spared and cannot be
+    is taken from all feet alike, not from a light one until it slips.
+
+    The program is convex, has a continuous gradient, and is quadratic but for the cones. Newton's method with the
+    second derivatives of what is exceeded (semismooth, Qi and Sun 1993) and the best share of each step takes two or
+    three steps from the forces of the moment before; from afar it goes by way of smaller weights. Where the closed form
+    for R alone, with E x = b, exceeds nothing, it is the solution.
     """
 
     def __init__(self, wall: Wall, holds: Sequence[int], axes: int, moments: int) -> None:
@@ -93,6 +102,7 @@ class ForceControl:
         turned = [hold for hold in grips if hold.max_moment > 0.0]
         ease[axes * len(holds) :] = [(hold.max_moment / hold.max_force) ** 2 for hold in turned]
         self._ease = ease
+        self._normals = np.eye(size)[self._places[:, -1]]
         self._moment = np.array([hold.max_moment for hold in turned])
         self._gripping = np.eye(size)[axes * len(holds) :]
         self._last: Vector | None = None
@@ -103,12 +113,16 @@ class ForceControl:
         program = _Program(self, demand)
         x = program.balanced()
         if program.exceeds(x):
-            x = program.solve(x if self._last is None else self._last)
-            self._last = x
+            x = self._last = program.solve(x, self._last)
         else:
             self._last = None
         result: Vector = self._turn.T @ x
         return result
+
+    def cost(self, demand: Demand, forces: Vector) -> float:
+        """The objective at given forces, shape (m,)."""
+        program, x = _Program(self, demand), self._turn @ forces
+        return program.cost(x, program.limits(x)[0])
 
 
 class _Program:
@@ -122,7 +136,11 @@ class _Program:
         self._c = np.concatenate([demand.c, np.zeros(len(control._moment))])
         self._most = np.concatenate([demand.most, control._moment])
         self._press = max(demand.press, LEAST)
-        self._spared, self._full = (1.0 - demand.drop) * control._friction, FULL * control._friction
+        shares = np.append(1.0 - demand.drop * np.array(LEVELS), FULL)
+        self._shares = shares[:, None] * control._friction  # (levels, feet)
+        k = len(control._friction)
+        costs = np.append(SPARED * DEARER ** np.arange(len(LEVELS)), LIMIT)
+        self._weights = np.concatenate([np.repeat(costs, k), np.full(k, SPARED), np.full(k + len(self._most), LIMIT)])
         self._ease = control._ease * self._readiness() ** 2
 
     def _readiness(self) -> Vector:
@@ -154,61 +172,97 @@ class _Program:
 
     def exceeds(self, x: Vector) -> bool:
         """Whether forces use more friction than they should, or a foot or motor does what it cannot."""
-        _, slide, push, torque = self._parts(x)
-        return bool(
-            (slide > self._spared * push + INSIDE).any()
-            or (slide > self._full * push + INSIDE).any()
-            or (push < self._press - INSIDE).any()
-            or (np.abs(torque) > self._most + INSIDE).any()
-        )
+        return bool((self.limits(x)[0] > INSIDE).any())
 
-    def _cost(self, x: Vector) -> tuple[float, tuple[Vector, ...]]:
-        """The objective, and what it is made of."""
+    def limits(self, x: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+        """By how much each limit is exceeded, (c,), the signs of torques, and slides as in `_parts`."""
         across, slide, push, torque = self._parts(x)
-        spared, full = np.maximum(slide - self._spared * push, 0.0), np.maximum(slide - self._full * push, 0.0)
-        least, over = np.maximum(LEAST - push, 0.0), np.maximum(np.abs(torque) - self._most, 0.0)
-        light = np.maximum(self._press - push, 0.0)
-        off, lacking = x - self._wished, self._E @ x - self._b
-        cost = (off / self._ease) @ off + SPARED * (spared @ spared + light @ light) + BALANCE * lacking @ lacking
-        cost += LIMIT * (full @ full + least @ least + over @ over)
-        return float(cost), (across, slide, spared, full, light, least, np.copysign(over, torque), off, lacking)
+        excess = np.concatenate(
+            [
+                (slide - self._shares * push).ravel(),
+                self._press - push,
+                LEAST - push,
+                np.abs(torque) - self._most,
+            ]
+        )
+        return excess, np.sign(torque), across / slide[:, None], slide
 
-    def solve(self, x: Vector) -> Vector:
-        """Newton's method from x."""
-        places, axes = self._control._places, self._control._places.shape[1]
+    def _slopes(self, sign: Vector, along: Vector) -> Vector:
+        """How limits change with the forces, shape (c, m)."""
+        places, m = self._control._places, len(self._wished)
+        slides = np.zeros((len(places), m))
+        slides[np.arange(len(places))[:, None], places[:, :-1]] = along
+        normals = self._control._normals
+        cones = slides - self._shares[:, :, None] * normals
+        return np.concatenate([cones.reshape(-1, m), -normals, -normals, -sign[:, None] * self._A])
+
+    def cost(self, x: Vector, excess: Vector) -> float:
+        """The objective at forces that exceed limits by so much."""
+        off, lacking = x - self._wished, self._E @ x - self._b
+        beyond = np.maximum(excess, 0.0)
+        return float((off / self._ease) @ off + BALANCE * lacking @ lacking + (self._weights * beyond) @ beyond)
+
+    def solve(self, x: Vector, last: Vector | None) -> Vector:
+        """The solution: from that of the moment before, or from x by way of programs with smaller weights."""
+        if last is not None:
+            found, settled = self._descend(last, FEW)
+            if settled:
+                return found
+        weights = self._weights
+        for most in GENTLER:
+            self._weights = np.minimum(weights, most)
+            x, _ = self._descend(x, STEPS)
+        self._weights = weights
+        return self._descend(x, STEPS)[0]
+
+    def _descend(self, x: Vector, steps: int) -> tuple[Vector, bool]:
+        """Newton's method from x with so many steps at the most; and whether that is the end."""
+        places, cones = self._control._places, self._shares.size
         fixed = np.diag(1.0 / self._ease) + BALANCE * self._E.T @ self._E
-        cost, parts = self._cost(x)
-        for _ in range(STEPS):
+        excess, sign, along, slide = self.limits(x)
+        for _ in range(steps):
             self._control.steps += 1
-            across, slide, spared, full, light, least, over, off, lacking = parts
             # Half the gradient and half the Hessian.
-            gradient = off / self._ease + BALANCE * lacking @ self._E - LIMIT * over @ self._A
-            pull = SPARED * spared + LIMIT * full
-            along = across / slide[:, None]
-            gradient[places[:, :-1]] += pull[:, None] * along
-            gradient[places[:, -1]] -= SPARED * (spared * self._spared + light) + LIMIT * (full * self._full + least)
-            first, second = SPARED * (spared > 0.0), LIMIT * (full > 0.0)
-            third = SPARED * (light > 0.0) + LIMIT * (least > 0.0)
-            block = np.zeros((len(places), axes, axes))
-            bent = pull / slide
-            block[:, :-1, :-1] = (first + second - bent)[:, None, None] * along[:, :, None] * along[:, None, :]
-            block[:, range(axes - 1), range(axes - 1)] += bent[:, None]
-            mixed = (first * self._spared + second * self._full)[:, None] * along
-            block[:, :-1, -1] = block[:, -1, :-1] = -mixed
-            block[:, -1, -1] = first * self._spared**2 + second * self._full**2 + third
-            hessian = fixed.copy()
-            hessian[places[:, :, None], places[:, None, :]] += block
-            tight = self._A[over != 0.0]
-            if len(tight):
-                hessian += LIMIT * tight.T @ tight
+            slopes, beyond = self._slopes(sign, along), np.maximum(excess, 0.0)
+            smooth = (x - self._wished) / self._ease + BALANCE * (self._E @ x - self._b) @ self._E
+            gradient = smooth + (self._weights * beyond) @ slopes
+            tight = slopes[excess > 0.0]
+            hessian = fixed + (tight.T * self._weights[excess > 0.0]) @ tight
+            bent = (self._weights * beyond)[:cones].reshape(self._shares.shape).sum(axis=0) / slide
+            turn = np.eye(along.shape[1]) - along[:, :, None] * along[:, None, :]
+            sideways = places[:, :-1]
+            hessian[sideways[:, :, None], sideways[:, None, :]] += bent[:, None, None] * turn
             step = -np.linalg.solve(hessian, gradient)
-            if np.abs(step).max() < SETTLED:
-                return np.asarray(x + step)
-            slope, share = float(gradient @ step), 1.0
+            share = self._best_share(excess, slopes @ step, float(smooth @ step), float(step @ fixed @ step))
+            cost, before = self.cost(x, excess), excess > 0.0
             while True:
-                after, parts_after = self._cost(x + share * step)
-                if after <= cost + 1e-4 * share * slope or share < 1e-3:
+                excess, sign, along, slide = self.limits(x + share * step)
+                if share < SHORTEST or self.cost(x + share * step, excess) <= cost + ROUNDING * abs(cost):
                     break
                 share *= 0.5
-            x, cost, parts = x + share * step, after, parts_after
-        return x
+            x = x + share * step
+            # A step may be short because of a limit that it is about to leave.
+            if np.abs(step).max() < SETTLED and (before == (excess > 0.0)).all():
+                return x, True
+        return x, False
+
+    def _best_share(self, excess: Vector, change: Vector, slope: float, curvature: float) -> float:
+        """The share of a step that costs least, between 0 and 1, were the cones straight.
+
+        The slope of the cost is slope + share curvature + sum w change (excess + share change)_+, piecewise linear.
+        """
+
+        def slopes(shares: Vector) -> Vector:
+            beyond = np.maximum(excess + shares[:, None] * change, 0.0)
+            return np.asarray(slope + shares * curvature + beyond @ (self._weights * change))
+
+        crossing = change * excess < 0.0
+        ends = np.append(-excess[crossing] / change[crossing], 1.0)
+        ends = np.concatenate([[0.0], np.sort(ends[ends <= 1.0])])
+        rising = slopes(ends)
+        above = np.flatnonzero(rising > 0.0)
+        if not len(above) or above[0] == 0:
+            return 1.0
+        k = above[0]
+        part = rising[k - 1] / (rising[k - 1] - rising[k])
+        return float(ends[k - 1] + part * (ends[k] - ends[k - 1]))

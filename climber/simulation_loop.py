@@ -26,7 +26,7 @@ NEAR = (
     0.0002  # one that is farther off at the end of its swing makes the clock stop; it approaches slower when nearer [m]
 )
 LATE = 0.06  # by how much the clock may pass the end of a swing before the foot has reached its hold [s]
-GROWING = 0.2  # time in which a push comes on [s]
+GROWING = 0.2  # time in which a push, and weight that is not the model's, come on before the plan begins [s]
 RECORD = 100.0  # samples of a recording [Hz]
 
 
@@ -90,8 +90,11 @@ class Loop:
         self.world = World(wall, robots, sorted(pins, key=str), time_step, perturbation.mass_scale)
         controllers = [Controller(reference, setting.wall, time_step) for reference in setting.references]
         self.watches = [Watch(i, controller, self.world) for i, controller in enumerate(controllers)]
+        self._heavier = perturbation.mass_scale - 1.0
+        self._growing = GROWING if perturbation.push or self._heavier else 0.0
         self._end, self.clock = max(controller.last for controller in controllers), controllers[0].begin
-        self.elapsed, self._rate, self._quicker, self._stood, self._over = 0.0, 1.0, 0.0, 0.0, 0.0
+        self.elapsed, self._quicker, self._stood, self._over = 0.0, 0.0, 0.0, 0.0
+        self._rate = 0.0 if self._growing else 1.0
         rng = np.random.default_rng([perturbation.seed, 1])
         self._pushes = [perturbation.pushed(rng, robot.dimension) for robot in robots]
         self.world.place([self._posture(watch, perturbation.start_error, rng) for watch in self.watches])
@@ -150,10 +153,9 @@ class Loop:
             commands.append(command)
             if round(self.elapsed / world.time_step) % round(1.0 / (RECORD * world.time_step)) == 0:
                 watch.record(self.elapsed, q, v, command)
-        grown = min(self.elapsed / GROWING, 1.0)
         world.step(
             [
-                command.applied + watch.controller.pushed(grown * push)
+                command.applied + self._disturbed(watch.controller, push)
                 for watch, command, push in zip(self.watches, commands, self._pushes, strict=True)
             ]
         )
@@ -161,6 +163,13 @@ class Loop:
         for watch, command in zip(self.watches, commands, strict=True):
             watch.look(self.elapsed, command)
         self._tick()
+
+    def _disturbed(self, controller: Controller, push: Vector) -> Vector:
+        """The push on a robot, and the hand that still carries what it is too heavy, shape (nv,)."""
+        if not self._growing:
+            return np.zeros(len(controller.robot.velocity_names))
+        grown = min(self.elapsed / GROWING, 1.0)
+        return controller.pushed(grown * push) - (1.0 - grown) * self._heavier * controller.weight()
 
     def _toward(self, watch: Watch) -> float:
         """How a limb that ended its swing off its hold has to go on: 1 towards it, -1 out of it, less when near."""
@@ -183,7 +192,7 @@ class Loop:
         """
         step = self.world.time_step
         lost = any(watch.controller.landing and abs(self._gap(watch)) > NEAR for watch in self.watches)
-        pace = 0.0 if lost else min(watch.controller.pace for watch in self.watches)
+        pace = 0.0 if lost or self.elapsed < self._growing else min(watch.controller.pace for watch in self.watches)
         change = float(np.clip(pace - self._rate, -step / CATCH_UP, step / CATCH_UP))
         rate = min(max(self._rate + change, 0.0), 1.0)
         limit = min([self._end, *(watch.controller.end + LATE for watch in self.watches if not watch.controller.done)])

@@ -24,6 +24,7 @@ from climber.plan_file import Plan
 from climber.plan_parts import Achieved, Cut, Phase, RobotPlan
 from climber.robot import Model, Robot
 from climber.scenario import scenario_from_text
+from climber.simulation import Perturbation
 from climber.stance import Contact, Vector
 from climber.timing import Samples
 from climber.verify import verify
@@ -280,3 +281,25 @@ def told(old: str, new: str) -> Callable[[str], str]:
         return text.replace(old, new)
 
     return change
+
+
+def just_within(plan: Plan, kind: str, seed: int) -> Perturbation:
+    """98 % of the least margin of friction that a plan has, or 95 % of that of pushes or of mass.
+
+    Args:
+        plan: The plan.
+        kind: "friction", "push" (in a direction drawn at random), "worst push" (in the direction that the margin says
+            is worst), "opposite push", "heavier" or "lighter".
+        seed: Of what is random.
+    """
+    margins = [phase.margins for robot in plan.robots for phase in robot.phases]
+    friction, push, mass = (
+        min((m[name] for m in margins), key=lambda margin: margin.value) for name in ("friction", "push", "mass")
+    )
+    if kind == "friction":
+        return Perturbation(friction_scale=1.0 - 0.98 * friction.value, seed=seed)
+    if kind in ("heavier", "lighter"):
+        return Perturbation(mass_scale=1.0 + (0.95 if kind == "heavier" else -0.95) * mass.value, seed=seed)
+    x, y, z = push.direction or (1.0, 0.0, 0.0)
+    ways = {"push": None, "worst push": (x, y, z), "opposite push": (-x, -y, -z)}
+    return Perturbation(push=0.95 * push.value, direction=ways[kind], seed=seed)

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from plans import just_within
 
 from climber.exceptions import NoPlanFound
 from climber.plan import plan_climb
@@ -27,6 +28,7 @@ DEAR = ("random_100", "team")  # half a minute or more for one plan: planned onc
 # A minute for one plan, and half of one to climb it: climbed once, from where it should start.
 SPACE = ("board", "lemur_chimney", "lemur_corner", "lemur_overhang", "lemur_slab", "lemur_vertical")
 PLANAR = [name for name in packaged_scenarios() if name not in (*ELSEWHERE, *DEAR, *SPACE)]
+ERRORS = ("friction", "worst push", "heavier", "lighter", "push")
 START_ERROR = 0.001  # [m]
 SLIP_IN_SPACE = 0.005  # [m]
 
@@ -63,6 +65,8 @@ def climbed(setting: Setting, perturbation: Perturbation, slip: float = SLIP_LIM
 def test_it_solves_and_the_plan_verifies_and_is_climbed_whatever_the_seed(name: str, seed: int) -> None:
     setting = sound(planned(name, seed), in_space=False)
     climbed(setting, Perturbation(start_error=START_ERROR, seed=seed))
+    if name == "basic":  # and what its margins certify is survived, one kind with each plan
+        climbed(setting, just_within(planned(name, seed), ERRORS[seed], seed))
 
 
 @pytest.mark.parametrize("name", DEAR)
