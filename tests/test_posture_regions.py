@@ -119,13 +119,13 @@ def test_a_posture_can_be_held_if_its_own_centre_of_mass_is_inside(lemur: Robot,
         (quadruped, standing(quadruped, 3), FRONT, 0.4),
     ):
         some = q + rng.normal(0.0, spread, (40, q.shape[1]))
-        region = posture_regions(robot, wall, some, contacts, gap=1e-3)
+        region = posture_regions(robot, wall, some, contacts, gap=1e-3, margin=Margin())
         context, inside = robot.context(), []
         for k, posture in enumerate(some):
             robot.plant.SetPositions(context, posture)
             inside.append(region.margin(robot.center_of_mass(context))[k])
         clear = np.abs(inside) > 1e-3
-        good = static_feasible(robot, wall, some, contacts)
+        good = static_feasible(robot, wall, some, contacts, Margin())
         np.testing.assert_array_equal(np.array(inside)[clear] > 0.0, good[clear])
         assert 3 < good.sum() < 37
 

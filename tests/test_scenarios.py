@@ -81,6 +81,14 @@ def test_it_solves_in_space_and_the_plan_verifies_and_is_climbed(name: str) -> N
     climbed(sound(planned(name), in_space=True), Perturbation(), SLIP_IN_SPACE)
 
 
+def test_another_seed_gives_another_motion_and_the_cost_is_proved_least_with_each() -> None:
+    plans = [planned("higher", seed) for seed in range(2)]
+    assert [plan.seed for plan in plans] == [0, 1]
+    assert all(plan.robots[0].proofs["cost"] is True for plan in plans)
+    one, other = (np.vstack([phase.q for phase in plan.robots[0].phases]) for plan in plans)
+    assert one.shape != other.shape or np.abs(one - other).max() > 0.1
+
+
 def test_on_the_obstacle_wall_the_first_plan_has_postures_but_no_motion() -> None:
     robot = planned("obstacle").robots[0]
     failed = {(cut.limb, cut.hold) for cut in robot.cuts if cut.stage == "motion"}
