@@ -22,14 +22,12 @@ from climber.verify import verify
 
 ELSEWHERE = {
     "random_1000": "a thousand holds; `make bench` runs it",
-    "board": "minutes on the two cores of a test run; `make bench` solves, verifies and simulates it",
-    "lemur_chimney": "minutes on the two cores of a test run; `make bench` solves, verifies and simulates it",
 }
 SEEDS = 5  # each another plan, and another start to climb it from; `make bench` takes 20
 # Ten seconds to two minutes for one plan: planned once, and climbed from as many starts.
 DEAR = ("obstacle", "random_100", "team", "waypoint", "wider")
-# Half a minute for one plan, and as long to climb it: climbed once, from where it should start.
-SPACE = ("lemur_corner", "lemur_overhang", "lemur_slab", "lemur_vertical")
+# Up to a minute for one plan, and half of one to climb it: climbed once, from where it should start.
+SPACE = ("board", "lemur_chimney", "lemur_corner", "lemur_overhang", "lemur_slab", "lemur_vertical")
 PLANAR = [name for name in packaged_scenarios() if name not in (*ELSEWHERE, *DEAR, *SPACE)]
 ERRORS = ("friction", "worst push", "heavier", "lighter", "push")
 START_ERROR = 0.001  # [m]
