@@ -47,14 +47,9 @@ def planned(name: str, more: int) -> Plan:
     return plan_climb(scenario, seed=scenario.seed + more)
 
 
-def climbed(plan: Plan, perturbation: Perturbation) -> Simulation:
-    """A plan, climbed."""
-    return simulate(plan, perturbation)
-
-
 def planned_and_climbed(name: str, seed: int) -> Simulation:
     """A scenario, planned with a seed and climbed from that seed's start."""
-    return climbed(planned(name, seed), Perturbation(start_error=START_ERROR, seed=seed))
+    return simulate(planned(name, seed), Perturbation(start_error=START_ERROR, seed=seed))
 
 
 def begun(pool: Executor, name: str, seeds: int) -> list[Future[Simulation]] | Future[Plan]:
@@ -104,7 +99,7 @@ def compare(pool: Executor, name: str, seeds: int) -> None:
     plan = planned(name, 0)
     kinds = zip(*(errors(plan, share) for share in SHARES), strict=True)
     asked = [
-        (share, words, [pool.submit(climbed, plan, replace(perturbation, seed=seed)) for seed in range(seeds)])
+        (share, words, [pool.submit(simulate, plan, replace(perturbation, seed=seed)) for seed in range(seeds)])
         for kind in kinds
         for share, (words, perturbation) in zip(SHARES, kind, strict=True)
     ]
@@ -154,7 +149,7 @@ def main() -> None:
                 if isinstance(begin, Future):
                     plan = begin.result()
                     begin = [
-                        pool.submit(climbed, plan, Perturbation(start_error=START_ERROR, seed=seed))
+                        pool.submit(simulate, plan, Perturbation(start_error=START_ERROR, seed=seed))
                         for seed in range(seeds)
                     ]
                 else:

@@ -287,7 +287,7 @@ class Controller:
         torque[self._motors] = np.clip(demand.c - demand.A @ forces, -self._limits, self._limits)
         vd = vd + motions[:, base] @ gives @ (demand.E @ forces - demand.load)
         disturbance.expect((v + self.time_step * vd)[stance.free])
-        return self._act(torque, forces, desired)
+        return self._act(torque, forces)
 
     def _demand(self, desired: Desired, load: Vector, gives: Vector, push: float) -> Demand:
         """What is asked of the contact forces.
@@ -358,7 +358,7 @@ class Controller:
         quick = J.T @ np.linalg.solve(J @ J.T + DAMPING**2 * np.eye(axes), going)
         self._aside[joints] -= self.time_step * quick
 
-    def _act(self, torque: Vector, forces: Vector, desired: Desired) -> Command:
+    def _act(self, torque: Vector, forces: Vector) -> Command:
         """The command that goes with torques and contact forces."""
         stance, axes, robot = self._stance, self._axes, self.robot
         held = axes * len(stance.holding)

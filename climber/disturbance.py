@@ -86,11 +86,12 @@ class Disturbance:
             motions: N, shape (nv, n).
         """
         axes, swinging = len(push), free[self._pelvis :]
-        causes = np.column_stack([motions.T @ weight, push[:, free].T])
-        causes[:, 0] /= np.linalg.norm(causes[:, 0]) + LITTLE
+        hanging = motions.T @ weight
+        size = np.linalg.norm(hanging) + LITTLE
+        causes = np.column_stack([hanging / size, push[:, free].T])
         causes, felt = causes * self._scale[free, None], self._felt[free] * self._scale[free]
         found = np.linalg.solve(causes.T @ causes + RIDGE**2 * np.eye(1 + axes), causes.T @ felt)
-        share = found[0] / (np.linalg.norm(motions.T @ weight) + LITTLE)
+        share = found[0] / size
         if not len(swinging):
             share = min(share, 0.0)
         self.heavier += WEIGHING * self._step * (float(share) - self.heavier)

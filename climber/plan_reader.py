@@ -65,10 +65,16 @@ def read_least(node: Node) -> dict[MarginKind, float]:
         kind = next((known for known in MARGIN_KINDS if known == name), None)
         if kind is None:
             raise entry.error(f"margins are of {', '.join(MARGIN_KINDS)}")
-        least[kind] = entry.number()
-        if least[kind] < 0.0:
-            raise entry.error("a number, 0 or greater, is expected")
+        least[kind] = _size(entry)
     return least
+
+
+def _size(node: Node) -> float:
+    """How much a margin is."""
+    value = node.number()
+    if value < 0.0:
+        raise node.error("a number, 0 or greater, is expected")
+    return value
 
 
 def _read_objective(node: Node) -> Achieved:
@@ -143,9 +149,7 @@ def _read_phase(node: Node, robot: RobotPlan) -> Phase:
 
 def _read_margin(node: Node, limbs: tuple[str, ...]) -> PhaseMargin:
     fields = node.fields(["value", "time", "direction", "limb"])
-    value = fields["value"].number()
-    if value < 0.0:
-        raise fields["value"].error("a number, 0 or greater, is expected")
+    value = _size(fields["value"])
     x, y, z = (0.0, 0.0, 0.0) if fields["direction"].value is None else fields["direction"].array(3).tolist()
     return PhaseMargin(
         value=value,

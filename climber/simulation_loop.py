@@ -22,9 +22,8 @@ STUCK = 2.0  # the plan's clock may stand still for so long [s]
 SETTLE = 0.2  # how long the robots are watched after the plan's end [s]
 CATCH_UP = 0.1  # time in which the clock goes from standing to its full pace [s]
 TOUCH = 1e-5  # a foot so near to its hold has reached it [m]
-NEAR = (
-    0.0002  # one that is farther off at the end of its swing makes the clock stop; it approaches slower when nearer [m]
-)
+# A foot that is farther off its hold at the end of its swing makes the clock stop; nearer it approaches slower [m].
+NEAR = 0.0002
 LATE = 0.06  # by how much the clock may pass the end of a swing before the foot has reached its hold [s]
 GROWING = 0.2  # time in which a push, and weight that is not the model's, come on before the plan begins [s]
 RECORD = 100.0  # samples of a recording [Hz]

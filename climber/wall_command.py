@@ -39,15 +39,17 @@ _SPREADS = {
 }
 
 _SPACE = tuple(kind for kind in KINDS if kind != "plane")
+_SCATTERED = tuple(kind for kind in KINDS if kind not in ("chimney", "board"))
+_LEDGES = tuple(kind for kind in _SPACE if kind != "chimney")
 _ONLY = {  # options that only some kinds of wall have a use for
     "angle_deg": ("inside_corner", "outside_corner"),
     "gap": ("chimney",),
     "problem": ("board",),
     "standoff": _SPACE,
-    "incut": tuple(kind for kind in _SPACE if kind != "chimney"),
-    "incut_limits": tuple(kind for kind in _SPACE if kind != "chimney"),
-    "aspect": tuple(kind for kind in KINDS if kind not in ("chimney", "board")),
-    "spacing": tuple(kind for kind in KINDS if kind not in ("chimney", "board")),
+    "incut": _LEDGES,
+    "incut_limits": _LEDGES,
+    "aspect": _SCATTERED,
+    "spacing": _SCATTERED,
     "density": tuple(kind for kind in KINDS if kind != "board"),
     "holds": tuple(kind for kind in KINDS if kind != "board"),
 }

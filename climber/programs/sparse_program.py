@@ -9,6 +9,7 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
+from climber.programs.blocks import plain_settings
 from climber.robot import Indices
 from climber.stance import Vector
 
@@ -106,12 +107,7 @@ class SparseProgram:
         """Clarabel with the program, whose first rows are equations and whose last ones are in cones."""
         cones = [clarabel.ZeroConeT(equations), clarabel.NonnegativeConeT(len(right) - equations - in_cones)]
         cones += [clarabel.SecondOrderConeT(3)] * (in_cones // 3)
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.max_threads = 1
-        settings.presolve_enable = False
-        settings.tol_gap_abs = settings.tol_gap_rel = GAP
-        settings.tol_feas = FEASIBILITY
+        settings = plain_settings(FEASIBILITY, GAP)
         settings.static_regularization_constant = REGULARIZATION
         quadratic = sparse.csc_matrix((len(self._cost), len(self._cost)))
         return clarabel.DefaultSolver(quadratic, self._cost, matrix, right, cones, settings)
