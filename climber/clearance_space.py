@@ -19,7 +19,7 @@ from climber.clearance import Clearance, link_shapes
 from climber.kinematics import Kinematics, Pose
 from climber.link_parts import parts
 from climber.nearest import closest, least_height, point_to_segment, segment_to_polyhedron
-from climber.placed import Block, Hull, Placed, corners_over, edges_to
+from climber.placed import Block, Hull, Placed, edges_to, solid_over
 from climber.robot import Indices
 from climber.solids import Solid
 from climber.solids import Sphere as Ball
@@ -232,10 +232,10 @@ class SpaceClearance:
             gap, on_one, on_two = edges_to(two.shape, a0, a1)
             corners = placed.out(two, np.tile(two.shape.corners, (len(k), 1)), np.repeat(k, len(two.shape.corners)))
             corners = corners.reshape(len(k), -1, 3)
-            over, below, corner = corners_over(one.shape, placed.within(one, corners, k))
-            closer = over < gap
-            on_one = np.where(closer[:, None], placed.out(one, below, k), placed.out(two, on_one, k))
-            on_two = np.where(closer[:, None], corners[np.arange(len(k)), corner], placed.out(two, on_two, k))
+            over, lower, upper = solid_over(one.shape, placed.within(one, corners, k), two.shape.edges)
+            closer = (over < gap)[:, None]
+            on_one = np.where(closer, placed.out(one, lower, k), placed.out(two, on_one, k))
+            on_two = np.where(closer, placed.out(one, upper, k), placed.out(two, on_two, k))
             return np.minimum(gap, over), on_one, on_two
 
         k = np.flatnonzero(distance[:, 0] < near)
@@ -274,19 +274,19 @@ class SpaceClearance:
         hull = self._hulls[h]
         if isinstance(solid, Ball):
             middle, radius = hull.shape.ball
-            corners, thickness = np.array([solid.center]), solid.radius
+            corners, edges, thickness = np.array([solid.center]), np.zeros((0, 2), dtype=np.int64), solid.radius
             bound = solid.distance(placed.poses[hull.link].point(middle)) - radius
         else:  # the most that a face of the solid has all of the polyhedron in front of it
-            corners, thickness = solid.polyhedron.corners, 0.0
-            edges = self._edges[h]
-            ends = np.concatenate([placed.start[:, edges], placed.end[:, edges]], axis=1)
+            corners, edges, thickness = solid.polyhedron.corners, solid.polyhedron.edges, 0.0
+            own = self._edges[h]
+            ends = np.concatenate([placed.start[:, own], placed.end[:, own]], axis=1)
             bound = solid.polyhedron.above(ends).min(axis=1).max(axis=1)
         distance = bound[:, None]
 
         def measure(k: Indices) -> tuple[Vector, Vector, Vector]:
             inner = placed.within(hull, np.broadcast_to(corners, (len(k), *corners.shape)), k)
-            over, below, corner = corners_over(hull.shape, inner)
-            return over - thickness, placed.out(hull, below, k), corners[corner]
+            over, lower, upper = solid_over(hull.shape, inner, edges)
+            return over - thickness, placed.out(hull, lower, k), placed.out(hull, upper, k)
 
         k = np.flatnonzero(bound < near)
         if len(k):

@@ -93,7 +93,7 @@ def segment_to_polyhedron(polyhedron: Polyhedron, a0: Vector, a1: Vector) -> tup
         distance, part = np.where(closer, height, distance), np.where(closer, at, part)
         dropped = end - np.where(closer, height, 0.0)[:, None] * polyhedron.normals[face]
         point = np.where(closer[:, None], dropped, point)
-    enter, leave = _clipped(polyhedron, a0, a1)
+    enter, leave = clipped(polyhedron, a0, a1)
     meets = enter <= leave
     middle = 0.5 * (np.maximum(enter, 0.0) + np.minimum(leave, 1.0))
     part = np.where(meets, middle, part)
@@ -101,7 +101,7 @@ def segment_to_polyhedron(polyhedron: Polyhedron, a0: Vector, a1: Vector) -> tup
     return np.where(meets, 0.0, distance), part, point
 
 
-def _clipped(polyhedron: Polyhedron, a0: Vector, a1: Vector) -> tuple[Vector, Vector]:
+def clipped(polyhedron: Polyhedron, a0: Vector, a1: Vector) -> tuple[Vector, Vector]:
     """Between which fractions segments (M, 3) are inside a polyhedron; the first is greater if they never are."""
     above0, above1 = polyhedron.above(a0), polyhedron.above(a1)  # (M, F)
     fall = above0 - above1

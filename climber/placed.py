@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from climber.kinematics import Pose
-from climber.nearest import segment_to_polyhedron
+from climber.nearest import clipped, segment_to_polyhedron
 from climber.polyhedron import Polyhedron
 from climber.robot import Indices
 from climber.stance import Vector
@@ -75,14 +75,30 @@ def edges_to(polyhedron: Polyhedron, a0: Vector, a1: Vector) -> tuple[Vector, Ve
     return gap[rows, best, 0], on_edge, point[rows, best]
 
 
-def corners_over(polyhedron: Polyhedron, corners: Vector) -> tuple[Vector, Vector, Indices]:
-    """Least height of corners (M, V, 3) straight above a face of a polyhedron [m], infinite if none is; zero inside.
+def solid_over(polyhedron: Polyhedron, corners: Vector, edges: Indices) -> tuple[Vector, Vector, Vector]:
+    """How far a solid's corners are straight above a face of a polyhedron; zero where its corners or edges are inside.
+
+    Args:
+        polyhedron: The polyhedron.
+        corners: Of the solid, in M places [m], shape (M, V, 3).
+        edges: Corners at both ends of each of the solid's edges, shape (E, 2).
 
     Returns:
-        Heights (M,), the points of the faces below, (M, 3), and which corner it is, (M,).
+        Heights [m], infinite where no corner is above a face and nothing inside, (M,), and the closest points of the
+        polyhedron and of the solid, (M, 3) each.
     """
     height, face = polyhedron.over_faces(corners)
     best, rows = height.argmin(axis=1), np.arange(len(corners))
-    height, face = height[rows, best], face[rows, best]
-    drop = np.where(np.isfinite(height), height, 0.0)[:, None] * polyhedron.normals[face]
-    return height, corners[rows, best] - drop, best
+    height, face, upper = height[rows, best], face[rows, best], corners[rows, best]
+    lower = upper - np.where(np.isfinite(height), height, 0.0)[:, None] * polyhedron.normals[face]
+    out = np.flatnonzero(height > 0.0)
+    if len(out) and len(edges):
+        # A pole that goes through has its corners on either side of the polyhedron.
+        a0, a1 = (corners[out][:, edges[:, end]] for end in (0, 1))
+        enter, leave = (x.reshape(a0.shape[:2]) for x in clipped(polyhedron, a0.reshape(-1, 3), a1.reshape(-1, 3)))
+        edge, through = (leave - enter).argmax(axis=1), np.flatnonzero((leave >= enter).any(axis=1))
+        at = through, edge[through]
+        height[out[through]] = 0.0
+        inside = a0[at] + 0.5 * (enter[at] + leave[at])[:, None] * (a1[at] - a0[at])
+        upper[out[through]] = lower[out[through]] = inside
+    return height, lower, upper

@@ -9,16 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
 from pydrake.systems.framework import DiagramBuilder
+from scipy.optimize import linprog
 
 from climber.clearance import Clearance
 from climber.clearance_space import NEAR, SpaceClearance, clearance_of
 from climber.kinematics import Kinematics, Pose
 from climber.nearest import closest, least_height, segment_to_polyhedron
+from climber.placed import edges_to, solid_over
 from climber.resources import resolve_model
 from climber.robot import Robot
 from climber.solids import Box, Convex, Cylinder, Facet, Solid, Sphere
@@ -104,6 +106,7 @@ def compare(kinematics: Kinematics, wall: Wall, q: Vector) -> None:
 @pytest.mark.parametrize("kind", SOLIDS)
 @settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
+@example(seed=10088072)  # the cylinder goes right through the pelvis
 def test_clearance_is_drake_s_where_near_and_never_more(kind: str, seed: int) -> None:
     wall = Wall((), solids=SOLIDS[kind], facets=(GROUND, EDGE))
     q = configurations(lemur(), np.random.default_rng(seed), 150)
@@ -124,6 +127,20 @@ def test_a_small_ball_inside_the_pelvis_is_met() -> None:
     here = SpaceClearance(lemur(), wall)(lemur().poses(q))
     assert (here[:2] <= 0.0).all()
     assert here[2] > 0.0
+
+
+def test_a_pole_right_through_the_pelvis_is_met() -> None:
+    """Its corners are on either side of the pelvis, and no edge of the pelvis is near it."""
+    pole = Cylinder((0.0, 0.0, 0.3), (0.0, 0.0, 1.0), 0.01, 1.0)
+    q = np.zeros((2, 18))
+    q[:, lemur().robot.origin_q] = [[0.0, 0.0, 0.3], [0.5, 0.0, 0.3]]
+    clearance = SpaceClearance(lemur(), Wall((), solids=(pole,)))
+    here = clearance(lemur().poses(q))
+    assert here[0] <= 0.0 < here[1]
+    near = clearance.near(lemur().poses(q[:1]), 0.01)
+    through = near.distance <= 0.0
+    np.testing.assert_allclose(near.points[through, 0], near.points[through, 1], atol=1e-9)
+    assert np.linalg.norm(near.points[through, 0, :2], axis=1).max() < 0.011
 
 
 def test_an_obstacle_of_the_plane_reaches_through_all_z() -> None:
@@ -240,6 +257,33 @@ def test_segments_are_as_far_from_a_polyhedron_as_the_nearest_of_their_points(se
     bound, exact = least_height(shape, a0, a1)
     assert (bound <= distance + 1e-9).all()
     np.testing.assert_allclose(bound[exact], distance[exact], atol=1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_polyhedra_meet_where_a_linear_program_finds_a_point_in_both(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    flat = Box((0.0, 0.0, 0.0), tuple(rng.uniform(0.05, 0.5, 3))).polyhedron
+    for _ in range(20):
+        thin = Box(tuple(rng.uniform(-0.3, 0.3, 3)), tuple(rng.uniform(0.02, 0.6, 3)), tuple(rng.uniform(-3.0, 3.0, 3)))
+        other = thin.polyhedron
+        ends = other.corners[other.edges]
+        gap, lower, upper = solid_over(flat, other.corners[None], other.edges)
+        turned, on_other, on_flat = edges_to(other, *np.swapaxes(flat.corners[flat.edges], 0, 1)[:, None])
+        between, _, _ = edges_to(flat, *np.swapaxes(ends, 0, 1)[:, None])  # knows edges, not its own corners over faces
+        distance = min(gap[0], turned[0])
+        assert distance <= between[0] + 1e-9
+        for least, one, two in ((gap, lower, upper), (turned, on_other, on_flat)):
+            assert np.isinf(least[0]) or np.linalg.norm(one - two) == pytest.approx(least[0], abs=1e-9)
+        # The greatest depth at which a point is inside both.
+        rows = np.vstack([flat.normals, other.normals])
+        best = linprog(
+            [0.0, 0.0, 0.0, -1.0],
+            np.column_stack([rows, np.ones(len(rows))]),
+            np.concatenate([flat.heights, other.heights]),
+            bounds=[(None, None)] * 4,
+        )
+        assert (distance == 0.0) == (-best.fun >= 0.0) or abs(best.fun) < 1e-9
 
 
 def test_poses_of_single_configurations_will_do() -> None:

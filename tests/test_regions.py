@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from problems import EQUILIBRIUM_PROBLEMS, MASS_OF_20_N, EquilibriumProblem, hold, random_wall
 from scipy.optimize import linprog
@@ -196,7 +196,9 @@ def _nearly_empty(wall: Wall, section: Section) -> bool:
 
 @given(seeds)
 @settings(max_examples=25, deadline=None)
+@example(47138)  # a region of a fifth of a micrometre, most of which is owed to limits that are widened
 def test_what_is_inside_can_be_held_and_what_is_outside_cannot(seed: int) -> None:
+    """To a micrometre either way."""
     rng = np.random.default_rng(seed)
     wall = climbable(rng, 4)
     region = region_of_all(wall, 2.0, 1e-4)
@@ -207,11 +209,12 @@ def test_what_is_inside_can_be_held_and_what_is_outside_cannot(seed: int) -> Non
     weights = rng.dirichlet(np.ones(len(corners)), 3)
     for point in weights @ corners:
         assert region.margin(point @ region.basis)[0] >= -1e-9
-        there = program.prog.AddBoundingBoxConstraint(*(2 * [point - program.origin]), program.c)
+        about = (point - program.origin - FINE, point - program.origin + FINE)
+        there = program.prog.AddBoundingBoxConstraint(*about, program.c)
         assert program.solve(np.zeros(2)) is not None
         program.prog.RemoveConstraint(there)
     beyond = corners[0] + 2e-4 * (corners[0] - corners.mean(axis=0)) / max(np.ptp(corners), 1e-9) + 1e-3 * CIRCLE
-    outside = (region.outer_A[0] @ (beyond @ region.basis).T > region.outer_b[0][:, None] + 1e-6).any(axis=0)
+    outside = (region.outer_A[0] @ (beyond @ region.basis).T > region.outer_b[0][:, None] + FINE).any(axis=0)
     for point in beyond[outside][:3]:
         there = program.prog.AddBoundingBoxConstraint(*(2 * [point - program.origin]), program.c)
         assert program.solve(np.zeros(2)) is None
