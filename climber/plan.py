@@ -32,7 +32,9 @@ from climber.climb_search import ClimbSearch, Report
 from climber.plan_file import Plan
 from climber.plan_parts import MARGIN_KINDS, ObjectiveKind
 from climber.scenario import Scenario
+from climber.scenario_fields import ScenarioFields
 from climber.team_plan import plan_team
+from climber.yaml_tree import check_given
 
 SOFTWARE = ("climber-drake", "drake", "clingo", "clarabel", "numpy", "scipy", "shapely")
 
@@ -62,10 +64,12 @@ def plan_climb(
         The plan. Whoever doubts it asks `climber.verify`.
 
     Raises:
-        ScenarioError: If the scenario does not fit the robot, or its start cannot be held.
+        ScenarioError: If the scenario does not fit the robot, or its start cannot be held, or what replaces a field of
+            it is not what the field may be.
         ModelError: If the robot's model cannot be planned for.
         NoPlanFound: If there is no climb (`proved`), or none was found within the budget.
     """
+    _check(seed, time_limit, objective, improve, min_margin)
     seed = scenario.seed if seed is None else seed
     limit = scenario.budget.time_limit_s if time_limit is None else time_limit
     if objective is not None:
@@ -88,6 +92,24 @@ def plan_climb(
         software=software(),
         timings={name: round(seconds, 4) for name, seconds in timings.items()},
     )
+
+
+def _check(
+    seed: int | None,
+    time_limit: float | None,
+    objective: ObjectiveKind | None,
+    improve: float | None,
+    min_margin: Mapping[str, float] | None,
+) -> None:
+    """What takes the place of a scenario's fields must be what they may be."""
+    budget = _without_none(time_limit_s=time_limit, improve_s=improve)
+    check_given(
+        _without_none(seed=seed, objective=objective, budget=budget, min_margin=min_margin), ScenarioFields, "arguments"
+    )
+
+
+def _without_none(**fields: object) -> dict[str, object]:
+    return {name: value for name, value in fields.items() if value is not None}
 
 
 def software() -> dict[str, str]:

@@ -11,11 +11,17 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from climber.exceptions import ClimberError
 from climber.least_margins import WORDS, least_margins
 from climber.plan_file import Plan
 from climber.simulate import Survival, certified, monte_carlo, simulate
-from climber.simulation import SLIP_LIMIT, Perturbation, Simulation
+from climber.simulation import (
+    SLIP_LIMIT,
+    Perturbation,
+    Simulation,
+    check_count,
+    check_scale,
+    check_size,
+)
 
 START_ERROR = 0.001  # [m], if there are several runs and nothing else is asked for
 
@@ -106,16 +112,14 @@ def _perturbations(options: argparse.Namespace) -> list[Perturbation]:
     sizes = {"--hold-error": options.hold_error, "--start-error": start, "--push": options.push}
     for name, values in scales.items():
         for value in values:
-            if not 0.0 < value < float("inf"):
-                raise ClimberError(f"{name}: given {value:g}; allowed: a number greater than 0")
+            check_scale(name, value)
     for name, values in {**sizes, "--slip-limit": [options.slip_limit]}.items():
         for value in values:
-            if not 0.0 <= value < float("inf"):
-                raise ClimberError(f"{name}: given {value:g}; allowed: a number, 0 or greater")
+            check_size(name, value)
     counts = {"--runs": (options.runs, 1), "--seed": (options.seed, 0), "--processes": (options.processes, 1)}
     for name, (count, least) in counts.items():
-        if count is not None and count < least:
-            raise ClimberError(f"{name}: given {count}; allowed: a whole number, {least} or greater")
+        if count is not None:
+            check_count(name, count, least)
     every = product(options.friction_scale, options.mass_scale, options.hold_error, start, options.push)
     return [Perturbation(*values, seed=options.seed) for values in every]
 

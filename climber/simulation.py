@@ -6,10 +6,41 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from climber.exceptions import ClimberError
 from climber.stance import Vector
 from climber.wall import Wall
 
 SLIP_LIMIT = 0.001  # [m]
+
+
+def check_scale(name: str, value: float) -> None:
+    """Refuses a factor that is none.
+
+    Raises:
+        ClimberError: If it is not finite, or not greater than 0.
+    """
+    if not 0.0 < value < float("inf"):
+        raise ClimberError(f"{name}: given {value:g}; allowed: a number greater than 0")
+
+
+def check_size(name: str, value: float) -> None:
+    """Refuses a size that is none.
+
+    Raises:
+        ClimberError: If it is not finite, or less than 0.
+    """
+    if not 0.0 <= value < float("inf"):
+        raise ClimberError(f"{name}: given {value:g}; allowed: a number, 0 or greater")
+
+
+def check_count(name: str, value: int, least: int) -> None:
+    """Refuses a number that is too small, or not whole.
+
+    Raises:
+        ClimberError: If it is.
+    """
+    if value != int(value) or value < least:
+        raise ClimberError(f"{name}: given {value}; allowed: a whole number, {least} or greater")
 
 
 @dataclass(frozen=True)
@@ -34,6 +65,14 @@ class Perturbation:
     push: float = 0.0
     direction: tuple[float, float, float] | None = None
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuses what no world can be like, and Drake might not survive."""
+        for name in ("friction_scale", "mass_scale"):
+            check_scale(name, getattr(self, name))
+        for name in ("hold_error", "start_error", "push"):
+            check_size(name, getattr(self, name))
+        check_count("seed", self.seed, 0)
 
     def pushed(self, rng: np.random.Generator, dimension: int) -> Vector:
         """The push on a robot that moves in as many axes [N], shape (dimension,)."""

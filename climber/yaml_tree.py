@@ -177,6 +177,20 @@ def check_tree(tree: object, schema: type, file: str) -> None:
     _Checker(file).value(tree, schema, Rule(), "")
 
 
+def check_given(given: Mapping[str, object], schema: type, file: str) -> None:
+    """Compares some fields with the dataclass that they are fields of; the others may be missing.
+
+    Args:
+        given: The fields by name.
+        schema: As in `check_tree`.
+        file: What errors call where they come from.
+
+    Raises:
+        ScenarioError: As in `check_tree`.
+    """
+    _Checker(file).given(given, schema, "")
+
+
 class _Null:
     """A null in the file, which differs from nothing in the file and from the word."""
 
@@ -222,16 +236,20 @@ class _Checker:
     def fields(self, tree: object, schema: type, path: str) -> None:
         known = {field.name: field for field in dataclasses.fields(schema)}
         self.mapping(tree, Rule(), path, f"the fields {', '.join(known)}")
-        mapping = typing.cast(dict[str, object], tree)
-        for name, value in mapping.items():
+        given = typing.cast(dict[str, object], tree)
+        self.given(given, schema, path)
+        for name, field in known.items():
+            if name not in given and field.metadata.get("rule", Rule()).required:
+                self.missing(path, name)
+
+    def given(self, given: Mapping[str, object], schema: type, path: str) -> None:
+        known = {field.name: field for field in dataclasses.fields(schema)}
+        for name, value in given.items():
             if name not in known:
                 self.refuse(join(path, name), value, f"no field of this name; {nearest(name, list(known))}")
         for name, field in known.items():
-            rule: Rule = field.metadata.get("rule", Rule())
-            if name in mapping:
-                self.value(mapping[name], field.type, rule, join(path, name))
-            elif rule.required:
-                self.missing(path, name)
+            if name in given:
+                self.value(given[name], field.type, field.metadata.get("rule", Rule()), join(path, name))
 
     def items(self, tree: object, schema: Any, rule: Rule, path: str) -> None:
         nested = typing.get_origin(schema) is list

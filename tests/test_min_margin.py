@@ -67,8 +67,9 @@ def test_an_answer_that_there_is_no_plan_says_what_was_asked_for(name: str) -> N
 @pytest.mark.parametrize(
     ("asked", "complaint"),
     [
-        ("pull=1", "min_margin: pull: given 1.0; allowed: "),
-        ("friction=1.5", "min_margin: friction: given 1.5; allowed: a number >= 0 and <= 0.95"),
+        ("pull=1", "min_margin.pull: given 1.0; allowed: "),
+        ("friction=1.5", "min_margin.friction: given 1.5; allowed: a finite number >= 0 and <= 0.95"),
+        ("push=nan", "min_margin.push: given nan; allowed: a finite number >= 0 and <= 900"),
     ],
 )
 def test_margins_that_there_are_not_are_bad_input(

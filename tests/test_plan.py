@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -148,6 +149,25 @@ def test_an_impossible_start_posture_is_an_error() -> None:
     scenario.robots[0].start_posture = {"right_front_knee": 2.6, "left_rear_knee": 2.6, "right_rear_knee": 2.6}
     with pytest.raises(ScenarioError, match="start_posture"):
         plan_climb(scenario)
+
+
+@pytest.mark.parametrize(
+    ("argument", "value", "path"),
+    [
+        ("seed", -1, "seed"),
+        ("seed", 1.5, "seed"),
+        ("objective", "speed", "objective"),
+        ("time_limit", 0.0, "budget.time_limit_s"),
+        ("improve", float("nan"), "budget.improve_s"),
+        ("improve", -1.0, "budget.improve_s"),
+        ("min_margin", {"push": "much"}, "min_margin.push"),
+        ("min_margin", 0.1, "min_margin"),
+    ],
+)
+def test_an_argument_that_is_not_what_its_field_may_be_is_refused(argument: str, value: Any, path: str) -> None:
+    with pytest.raises(ScenarioError, match=f"arguments: {path}: given .*; allowed: ") as raised:
+        plan_climb(load_scenario("basic"), **{argument: value})
+    assert raised.value.path == path
 
 
 def test_no_time_is_not_the_same_as_no_climb() -> None:

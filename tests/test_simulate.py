@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from plans import STEP, edited, just_within, step_plan, still_plan
 
 from climber.cli import main
+from climber.exceptions import ClimberError
 from climber.least_margins import least_margins
 from climber.reference import Reference
 from climber.robot import Model, Robot
@@ -330,6 +332,22 @@ def test_the_command_counts_who_comes_through(file, capsys):
 def test_options_out_of_range_are_refused(file, option, value, capsys):
     assert main(["simulate", str(file), f"{option}={value}"]) == 2
     assert f"{option}: given" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("friction_scale", math.nan),
+        ("mass_scale", 0.0),
+        ("hold_error", -0.001),
+        ("start_error", math.inf),
+        ("push", math.nan),
+        ("seed", -1),
+    ],
+)
+def test_a_world_that_cannot_be_is_refused_before_drake_is_asked_for_it(name, value):
+    with pytest.raises(ClimberError, match=f"{name}: given .*; allowed: "):
+        Perturbation(**{name: value})
 
 
 def test_a_plan_that_does_not_go_with_its_wall_is_refused(tmp_path, capsys):
