@@ -188,7 +188,7 @@ def check_given(given: Mapping[str, object], schema: type, file: str) -> None:
     Raises:
         ScenarioError: As in `check_tree`.
     """
-    _Checker(file).given(given, schema, "")
+    _Checker(file).fields(given, schema, "", whole=False)
 
 
 class _Null:
@@ -233,23 +233,19 @@ class _Checker:
         if not tree and not rule.empty:
             self.refuse(path, tree, f"{wanted}, not an empty one")
 
-    def fields(self, tree: object, schema: type, path: str) -> None:
+    def fields(self, tree: object, schema: type, path: str, *, whole: bool = True) -> None:
         known = {field.name: field for field in dataclasses.fields(schema)}
         self.mapping(tree, Rule(), path, f"the fields {', '.join(known)}")
-        given = typing.cast(dict[str, object], tree)
-        self.given(given, schema, path)
-        for name, field in known.items():
-            if name not in given and field.metadata.get("rule", Rule()).required:
-                self.missing(path, name)
-
-    def given(self, given: Mapping[str, object], schema: type, path: str) -> None:
-        known = {field.name: field for field in dataclasses.fields(schema)}
-        for name, value in given.items():
+        mapping = typing.cast(dict[str, object], tree)
+        for name, value in mapping.items():
             if name not in known:
                 self.refuse(join(path, name), value, f"no field of this name; {nearest(name, list(known))}")
         for name, field in known.items():
-            if name in given:
-                self.value(given[name], field.type, field.metadata.get("rule", Rule()), join(path, name))
+            rule: Rule = field.metadata.get("rule", Rule())
+            if name in mapping:
+                self.value(mapping[name], field.type, rule, join(path, name))
+            elif rule.required and whole:
+                self.missing(path, name)
 
     def items(self, tree: object, schema: Any, rule: Rule, path: str) -> None:
         nested = typing.get_origin(schema) is list
