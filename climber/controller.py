@@ -25,7 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.systems.framework import Context
 
+from climber.definite import solved
 from climber.disturbance import Disturbance
 from climber.dynamics import Sampler, turning
 from climber.force_control import Demand, ForceControl
@@ -86,20 +88,29 @@ class _Stance:
     """What is fixed during a phase.
 
     Attributes:
-        holding: The limbs that hold.
-        holds: Their holds.
+        touches: By limb that holds: its hold, and where the plan has the foot in W [m].
+        arriving: The limb that takes hold when the phase ends, and its hold.
         free: Places in the velocities of the pelvis and of the joints of limbs that do not hold.
-        rows: Rows of all feet's Jacobian that belong to holding feet.
-        control: Chooses the forces of (3).
+        alone: Velocities at which one of these is one and the others are zero, shape (nv, free).
+        sampler: Has the Jacobian of the feet that hold.
+        control: Chooses the forces of (4).
         gripping: The limbs whose pin takes a moment.
+        most: That moment [N m], shape (gripping,).
     """
 
-    holding: tuple[int, ...]
-    holds: tuple[int, ...]
+    touches: dict[int, tuple[int, Vector]]
+    arriving: tuple[int, int] | None
     free: Indices
-    rows: Indices
+    alone: Vector
+    sampler: Sampler
     control: ForceControl
-    gripping: tuple[int, ...]
+    gripping: list[int]
+    most: Vector
+
+    @property
+    def holding(self) -> list[int]:
+        """The limbs that hold."""
+        return list(self.touches)
 
 
 class Controller:
@@ -108,6 +119,7 @@ class Controller:
     Attributes:
         reference: The plan.
         phase: Number of the phase that it is in.
+        weight: The robot's weight as generalised forces [N, N m], shape (nv,), in the state of the last command.
     """
 
     def __init__(self, reference: Reference, wall: Wall, time_step: float, gains: Gains | None = None) -> None:
@@ -122,42 +134,52 @@ class Controller:
         self.reference, self.robot, self.wall = reference, reference.robot, wall
         self.time_step, self.gains = time_step, gains or Gains()
         robot = self.robot
-        self._sampler = Sampler(robot, range(len(robot.limbs)))
-        self._axes = self._sampler.num_rows // len(robot.limbs)
+        self._axes, self._feet = robot.dimension, Sampler(robot, range(len(robot.limbs)))
         self._turning = turning(robot, range(len(robot.limbs)))
         nv = len(robot.velocity_names)
         motors = robot.effort > 0.0
         self._driven, self._limits = robot.joint_v[motors], robot.effort[motors]
         self._motors = np.flatnonzero(motors)
         self._loose = np.setdiff1d(np.arange(nv), self._driven)
-        self._J, self._Jdot_v = np.empty((self._sampler.num_rows, nv)), np.empty(self._sampler.num_rows)
         self._limbs = ~np.isin(np.arange(nv), robot.base_v)
+        self._giving = np.where(self._limbs, 1.0, GIVING)
         omega = np.full(nv, self.gains.joint)
         omega[robot.base_v] = self.gains.pelvis
         self._kp, self._kd = omega**2, 2.0 * omega
         self._tolerance = np.full(nv, self.gains.joint_error)
         self._tolerance[robot.base_v] = self.gains.pelvis_error
         self._tolerance[robot.angle_q] = self.gains.pelvis_angle
-        self._aside, self.error = np.zeros(nv), np.zeros(nv)
+        self._aside, self.error, self.weight = np.zeros(nv), np.zeros(nv), np.zeros(nv)
+        self._at_center = np.zeros((self._axes, nv))
         self._disturbance = Disturbance(robot, time_step)
         self.phase, self.landing = 0, False
         self._stance = self._stand()
 
     def _stand(self) -> _Stance:
         """What is fixed during the phase."""
-        robot, phase, axes = self.robot, self.reference.phase(self.phase), self._axes
-        place = {contact.limb: contact for contact in phase.contacts}
-        holding = tuple(i for i, name in enumerate(robot.limb_names) if name in place)
-        holds = tuple(place[robot.limb_names[i]].hold for i in holding)
-        gripping = tuple(i for i, hold in zip(holding, holds, strict=True) if self.wall.holds[hold].max_moment > 0.0)
+        robot = self.robot
+        touches = self._touches(self.phase)
+        after = {} if self.done else self._touches(self.phase + 1)
+        arriving = [(limb, hold) for limb, (hold, _) in after.items() if limb not in touches]
+        free = np.concatenate([robot.base_v, *(limb.v for i, limb in enumerate(robot.limbs) if i not in touches)])
+        moments = {limb: self.wall.holds[hold].max_moment for limb, (hold, _) in touches.items()}
+        gripping = [limb for limb, moment in moments.items() if moment > 0.0]
         return _Stance(
-            holding=holding,
-            holds=holds,
-            free=np.concatenate([robot.base_v, *(limb.v for i, limb in enumerate(robot.limbs) if i not in holding)]),
-            rows=np.array([axes * i + a for i in holding for a in range(axes)], dtype=np.int64),
-            control=ForceControl(self.wall, holds, axes, len(gripping)),
+            touches=touches,
+            arriving=arriving[0] if arriving else None,
+            free=free,
+            alone=np.eye(len(robot.velocity_names))[:, free],
+            sampler=Sampler(robot, list(touches)),
+            control=ForceControl(self.wall, [hold for hold, _ in touches.values()], self._axes, len(gripping)),
             gripping=gripping,
+            most=np.array([moments[limb] for limb in gripping]),
         )
+
+    def _touches(self, phase: int) -> dict[int, tuple[int, Vector]]:
+        """By limb that holds: its hold, and where the plan has the foot in W [m]."""
+        place = {contact.limb: contact for contact in self.reference.phase(phase).contacts}
+        limbs = [(i, place[name]) for i, name in enumerate(self.robot.limb_names) if name in place]
+        return {i: (contact.hold, contact.point) for i, contact in limbs}
 
     # --- the plan's clock ---------------------------------------------------------------------------------------------
 
@@ -197,31 +219,23 @@ class Controller:
     @property
     def touches(self) -> dict[int, tuple[int, Vector]]:
         """By limb that holds: its hold, and where the plan has the foot in W [m]."""
-        names = self.robot.limb_names
-        return {names.index(c.limb): (c.hold, c.point) for c in self.reference.phase(self.phase).contacts}
+        return self._stance.touches
 
     @property
     def arriving(self) -> tuple[int, int] | None:
         """The limb that takes hold when the phase ends, and its hold."""
-        if self.done:
-            return None
-        names, after = self.robot.limb_names, self.reference.phase(self.phase + 1)
-        for contact in after.contacts:
-            limb = names.index(contact.limb)
-            if limb not in self._stance.holding:
-                return limb, contact.hold
-        return None
+        return self._stance.arriving
 
     def advance(self) -> None:
         """Goes on to the next phase."""
-        before = set(self._stance.holding)
+        before = self._stance.touches
         self.phase, self.landing = self.phase + 1, False
         self._stance = self._stand()
         for limb, its in enumerate(self.robot.limbs):
-            if limb in before or limb in self._stance.holding:
+            if limb in before or limb in self._stance.touches:
                 self._aside[its.v] = 0.0
                 self._disturbance.forget(its.v)
-            if limb in before and limb not in self._stance.holding:
+            if limb in before and limb not in self._stance.touches:
                 self._aside[its.v] = self.error[its.v]
 
     @property
@@ -244,64 +258,63 @@ class Controller:
             v: Measured velocities [m/s, rad/s], shape (nv,).
             toward: If the limb that arrives is to go on towards its hold, how fast: 1 against the normal, -1 along it.
         """
-        stance, gains = self._stance, self.gains
+        stance, gains, robot = self._stance, self.gains, self.robot
         desired = self.reference.at(self.phase, time)
-        sampler = self._sampler
-        sampler.plant.SetPositionsAndVelocities(sampler.context, np.concatenate([q, v]))
-        sampler.J(self._J)
-        sampler.Jdot_v(self._Jdot_v)
+        sampler = stance.sampler
+        plant, context = sampler.plant, sampler.context
+        plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
+        J, Jdot_v = np.empty((sampler.num_rows, len(v))), np.empty(sampler.num_rows)
+        sampler.J(J)
+        sampler.Jdot_v(Jdot_v)
         # (1)
-        self.error = self.robot.v_of(q, desired.q - q)
+        self.error = robot.v_of(q, desired.q - q)
         if toward:
-            self._approach(toward)
+            self._approach(toward, q)
         else:
             self._aside *= 1.0 - self.time_step / gains.settle
         # Errors that the feet's places do not permit to undo are none.
-        J = self._J[stance.rows]
         following, error = self._following(J), self.error - self._aside
-        for follow in following:
-            error = error - follow @ (J @ error)
+        error = error - following @ (J @ error)
         wanted = rate**2 * desired.vd + quicker * desired.v + self._kp * error + self._kd * (rate * desired.v - v)
         # (2)
-        at_rest = -gains.foot * (J @ v) - self._Jdot_v[stance.rows]
-        vd, motions = wanted, np.eye(len(v))[:, stance.free]
-        for follow in following:
-            vd = vd + follow @ (at_rest - J @ vd)
-            motions = motions - follow @ (J @ motions)
+        vd = wanted - following @ (J @ wanted + gains.foot * (J @ v) + Jdot_v)
+        motions = stance.alone - following @ J[:, stance.free]
         # (3)
-        M = sampler.plant.CalcMassMatrix(sampler.context)
+        M = plant.CalcMassMatrix(context)
         moved = M @ motions
-        disturbance, weight = self._disturbance, self.weight()
+        self.weight = np.asarray(plant.CalcGravityGeneralizedForces(context))
+        self._at_center = self._motion_at_center(context)
+        disturbance = self._disturbance
         disturbance.observe(v[stance.free], stance.free, motions.T @ moved)
-        disturbance.weigh(weight, self._at_center(), stance.free, motions)
-        more, rest = disturbance.parts(weight, stance.free, motions)
+        disturbance.weigh(self.weight, self._at_center, stance.free, motions)
+        more, rest = disturbance.parts(self.weight, stance.free, motions)
         load = M @ vd + sampler.h() - more - rest
         # (4)
-        base = slice(len(self.robot.base_v))
+        base = slice(len(robot.base_v))
         gives = _inverse(moved[self._loose, base])
-        push = float(np.linalg.norm(rest[self.robot.origin_q]))
-        demand = self._demand(desired, load, moved[self._driven, base] @ gives, push)
+        push = float(np.linalg.norm(rest[robot.origin_q]))
+        demand = self._demand(desired, J, load, moved[self._driven, base] @ gives, push)
         forces = stance.control.forces(demand)
         # (5)
-        torque = np.zeros(len(self.robot.joint_names))
+        torque = np.zeros(len(robot.joint_v))
         torque[self._motors] = np.clip(demand.c - demand.A @ forces, -self._limits, self._limits)
-        vd = vd + motions[:, base] @ gives @ (demand.E @ forces - demand.load)
+        vd = vd + motions[:, base] @ (gives @ (demand.E @ forces - demand.load))
         disturbance.expect((v + self.time_step * vd)[stance.free])
         return self._act(torque, forces)
 
-    def _demand(self, desired: Desired, load: Vector, gives: Vector, push: float) -> Demand:
+    def _demand(self, desired: Desired, J: Vector, load: Vector, gives: Vector, push: float) -> Demand:
         """What is asked of the contact forces.
 
         Args:
             desired: What the plan has.
+            J: Jacobian of the feet that hold, shape (m, nv).
             load: M vd + h less disturbances [N, N m], shape (nv,).
             gives: How the motors' rows of M vd change with those without a motor, if the pelvis gives way to these,
                 shape (motors, u).
             push: Of the disturbances [N].
         """
-        stance = self._stance
-        holding, gripping = list(stance.holding), list(stance.gripping)
-        J = np.vstack([self._J[stance.rows], self._turning[gripping]])
+        holding, gripping = self._stance.holding, self._stance.gripping
+        J = np.concatenate([J, self._turning[gripping]])
         E = J[:, self._loose].T
         return Demand(
             wished=np.concatenate([desired.force[holding, : self._axes].ravel(), desired.moment[gripping]]),
@@ -314,65 +327,66 @@ class Controller:
             press=PRESS * push,
         )
 
-    def weight(self) -> Vector:
-        """The robot's weight as generalised forces [N, N m], shape (nv,), in the state of the last command."""
-        return np.asarray(self._sampler.plant.CalcGravityGeneralizedForces(self._sampler.context))
-
     def pushed(self, force: Vector) -> Vector:
         """A push of the pelvis at the robot's centre of mass [N], shape (axes,), as generalised forces, shape (nv,).
 
         The state is that of the last command.
         """
-        result: Vector = self._at_center().T @ force
+        result: Vector = self._at_center.T @ force
         return result
 
-    def _at_center(self) -> Vector:
+    def _motion_at_center(self, context: Context) -> Vector:
         """How the pelvis moves where the centre of mass is, by velocities, shape (axes, nv)."""
-        plant, context = self._sampler.plant, self._sampler.context
-        pelvis, world = self.robot.pelvis, plant.world_frame()
+        plant, pelvis = self.robot.plant, self.robot.pelvis
+        world = plant.world_frame()
         center = pelvis.EvalPoseInWorld(context).inverse().multiply(self.robot.center_of_mass(context))
         J = plant.CalcJacobianTranslationalVelocity(
             context, JacobianWrtVariable.kV, pelvis.body_frame(), center, world, world
         )
         return np.asarray(J[: self._axes])
 
-    def _following(self, J: Vector) -> tuple[Vector, Vector]:
-        """How joints and pelvis are moved for holding feet to move as they must, shapes (nv, m): one after the other.
+    def _following(self, J: Vector) -> Vector:
+        """How joints and pelvis are moved for holding feet to move as they must, shape (nv, m).
 
         Limbs follow the pelvis. But near a straight limb joints would have to be ever faster for it, so that there the
-        joints keep to the plan, which may lead them through the straight on purpose, and the pelvis follows them.
+        joints keep to the plan, which may lead them through the straight on purpose, and the pelvis follows them. With
+        L the limbs' columns of J, W how readily joints and pelvis give way, and the damping D, that is first
+        L^T (L L^T + D^2)^-1, and for the share D^2 (L L^T + D^2)^-1 of the feet's motion that this leaves undone
+        W J^T (J W J^T)^-1.
         """
-        limbs, few = J * self._limbs, np.eye(len(J))
-        eased = (self._limbs + GIVING * ~self._limbs)[:, None] * J.T
-        quick = limbs.T @ np.linalg.inv(limbs @ limbs.T + DAMPING**2 * few)
-        return quick, eased @ np.linalg.inv(J @ eased + 1e-12 * few)
+        limbs, eased = J * self._limbs, J * self._giving
+        few, least = np.eye(len(J)), DAMPING**2
+        pelvis = solved(eased @ J.T + 1e-12 * few, eased)
+        return solved(limbs @ limbs.T + least * few, limbs + least * pelvis).T
 
-    def _approach(self, toward: float) -> None:
+    def _approach(self, toward: float, q: Vector) -> None:
         """Moves the place that the arriving limb's foot is led to, by what it goes in a time step."""
         if self.arriving is None:
             return
         limb, hold = self.arriving
         joints, axes = self.robot.limbs[limb].v, self._axes
         going = -toward * self.gains.approach * self.wall.normals[hold][:axes]
-        J = self._J[axes * limb : axes * limb + axes, joints]
-        quick = J.T @ np.linalg.solve(J @ J.T + DAMPING**2 * np.eye(axes), going)
+        feet, J = self._feet, np.empty((self._feet.num_rows, len(self.error)))
+        feet.plant.SetPositions(feet.context, q)
+        feet.J(J)
+        J = J[axes * limb : axes * limb + axes, joints]
+        quick = J.T @ solved(J @ J.T + DAMPING**2 * np.eye(axes), going)
         self._aside[joints] -= self.time_step * quick
 
     def _act(self, torque: Vector, forces: Vector) -> Command:
         """The command that goes with torques and contact forces."""
         stance, axes, robot = self._stance, self._axes, self.robot
-        held = axes * len(stance.holding)
+        held = axes * len(stance.touches)
         force, moment = np.zeros((len(robot.limbs), 3)), np.zeros(len(robot.limbs))
-        force[list(stance.holding), :axes] = forces[:held].reshape(-1, axes)
+        force[stance.holding, :axes] = forces[:held].reshape(-1, axes)
         applied = np.zeros(len(robot.velocity_names))
         applied[robot.joint_v] = torque
-        for k, limb in enumerate(stance.gripping, start=held):
-            most = self.wall.holds[stance.holds[stance.holding.index(limb)]].max_moment
-            moment[limb] = np.clip(forces[k], -most, most)
-            applied += moment[limb] * self._turning[limb]
+        if stance.gripping:
+            moment[stance.gripping] = np.clip(forces[held:], -stance.most, stance.most)
+            applied += moment @ self._turning
         return Command(torque, moment, force, applied)
 
 
 def _inverse(A: Vector) -> Vector:
     """The pseudo-inverse of a matrix of full column rank."""
-    return np.asarray(np.linalg.solve(A.T @ A + 1e-12 * np.eye(A.shape[1]), A.T))
+    return solved(A.T @ A + 1e-12 * np.eye(A.shape[1]), A.T)

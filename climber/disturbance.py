@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from climber.definite import solved
 from climber.robot import Indices, Robot
 from climber.stance import Vector
 
@@ -73,7 +74,7 @@ class Disturbance:
         """
         if self._expected is None:
             return
-        off = np.clip(nu - self._expected, -MOST * self._step, MOST * self._step)
+        off = (nu - self._expected).clip(-MOST * self._step, MOST * self._step)
         self._felt[free] += FINDING * (inertia @ off)
 
     def weigh(self, weight: Vector, push: Vector, free: Indices, motions: Vector) -> None:
@@ -85,16 +86,15 @@ class Disturbance:
             free: As in `observe`.
             motions: N, shape (nv, n).
         """
-        axes, swinging = len(push), free[self._pelvis :]
+        scale = self._scale[free]
         hanging = motions.T @ weight
-        size = np.linalg.norm(hanging) + LITTLE
-        causes = np.column_stack([hanging / size, push[:, free].T])
-        causes, felt = causes * self._scale[free, None], self._felt[free] * self._scale[free]
-        found = np.linalg.solve(causes.T @ causes + RIDGE**2 * np.eye(1 + axes), causes.T @ felt)
-        share = found[0] / size
-        if not len(swinging):
+        size = float(np.linalg.norm(hanging)) + LITTLE
+        causes = np.concatenate([hanging[None] / size, push[:, free]]) * scale
+        found = solved(causes @ causes.T + RIDGE**2 * np.eye(len(causes)), causes @ (self._felt[free] * scale))
+        share = float(found[0]) / size
+        if len(free) == self._pelvis:
             share = min(share, 0.0)
-        self.heavier += WEIGHING * self._step * (float(share) - self.heavier)
+        self.heavier += WEIGHING * self._step * (share - self.heavier)
 
     def parts(self, weight: Vector, free: Indices, motions: Vector) -> tuple[Vector, Vector]:
         """What disturbs the robot as generalised forces [N, N m], shape (nv,): by weight, and the rest.

@@ -89,6 +89,18 @@ def angular_velocity_map(angles: Vector) -> Vector:
     return E
 
 
+def angular_velocity(angles: Vector, rates: Vector) -> Vector:
+    """w_FM = E rates for angles [rad] and their rates [rad/s], all of shape (..., 3)."""
+    sin, cos = np.sin(angles), np.cos(angles)
+    r0, r1 = rates[..., 0], rates[..., 1]
+    s1, s2, along = sin[..., 1], sin[..., 2], cos[..., 1] * r0
+    w = rates.copy()
+    w[..., 0] = cos[..., 2] * along - s2 * r1
+    w[..., 1] = s2 * along + cos[..., 2] * r1
+    w[..., 2] -= s1 * r0
+    return w
+
+
 def angular_velocity_map_rate(angles: Vector, rates: Vector) -> Vector:
     """Derivative of `angular_velocity_map` by time for rates of the angles [rad/s], shape (K, 3); shape (K, 3, 3)."""
     (_, s1, s2), (_, c1, c2) = np.sin(angles.T), np.cos(angles.T)

@@ -22,7 +22,15 @@ from pydrake.multibody.tree import Joint, PlanarJoint, RevoluteJoint
 from pydrake.systems.framework import Context
 
 from climber.exceptions import ModelError
-from climber.floating import ANGLES, ORIGIN, angle_rates, angular_velocity_map, angular_velocity_map_rate, floats
+from climber.floating import (
+    ANGLES,
+    ORIGIN,
+    angle_rates,
+    angular_velocity,
+    angular_velocity_map,
+    angular_velocity_map_rate,
+    floats,
+)
 from climber.model import Model as Model  # robots and models go together
 from climber.stance import Vector
 from climber.symmetry import symmetry_group
@@ -276,13 +284,9 @@ class Robot:
 
     def v_of(self, q: Vector, qdot: Vector) -> Vector:
         """Velocities v for rates of the positions, shape (..., nq) to (..., nv); the same for a planar robot."""
-        if not self.floating:
-            return qdot.copy()
-        turned = qdot[..., self.base_v].copy()
-        E = angular_velocity_map(q[..., self.angle_q].reshape(-1, 3)).reshape(*q.shape[:-1], 3, 3)
-        turned[..., :3] = np.einsum("...ij,...j->...i", E, qdot[..., self.angle_q])
         v = qdot.copy()
-        v[..., self.base_v] = turned
+        if self.floating:
+            v[..., self.base_v[:3]] = angular_velocity(q[..., self.angle_q], qdot[..., self.angle_q])
         return v
 
     def vd_of(self, q: Vector, qdot: Vector, qddot: Vector) -> Vector:

@@ -168,7 +168,7 @@ class Loop:
         if not self._growing:
             return np.zeros(len(controller.robot.velocity_names))
         grown = min(self.elapsed / GROWING, 1.0)
-        return controller.pushed(grown * push) - (1.0 - grown) * self._heavier * controller.weight()
+        return controller.pushed(grown * push) - (1.0 - grown) * self._heavier * controller.weight
 
     def _toward(self, watch: Watch) -> float:
         """How a limb that ended its swing off its hold has to go on: 1 towards it, -1 out of it, less when near."""
