@@ -89,6 +89,7 @@ class _Several:
         around = rays(disturbance.B.shape[2])
         worst, toward = DisturbanceMargin(phases.instants, disturbance.B, disturbance.C, cap, around).solve()
         if kind == "mass":  # heavier pulls down, lighter up
+            toward = np.where(toward == 0.0, 1.0, toward)  # where neither is survived
             toward = toward * phases.robot.gravity / max(float(np.linalg.norm(phases.robot.gravity)), 1e-300)
         return self._told(cap, worst, list(toward), [None] * len(toward))
 

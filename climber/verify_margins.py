@@ -36,6 +36,7 @@ SMALLEST = 1e-4
 NARROW = 0.02  # share of friction that a planner may leave unused which fits pyramids into cones in space
 UNSURVIVED = 1e-8  # [N, N m] what must be lacking at a greater error
 TIME = 1e-5  # [s] the same instant
+UNIT = 1e-6  # of unit vectors
 EVERYWHERE = np.array(
     [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], dtype=float
 )
@@ -101,6 +102,7 @@ class MarginChecks:
             Trial(needs, number, error) for number, needs in enumerate(self._phases) for error in self._errors(number)
         ]
         self._survive(trials)
+        self._follow()
         self._tight()
 
     def _label(self, number: int, kind: str) -> str:
@@ -116,13 +118,30 @@ class MarginChecks:
                 yield f"{at}: t = {margin.time:.4f} s is no sample of the phase"
             if margin.value > MOST[kind]:
                 yield f"{at}: {margin.value:g} is greater than {MOST[kind]:g}, beyond which margins are not told"
-            if self._open(kind, margin):
+            told = kind != "friction" and not self._open(kind, margin)
+            if not told and margin.direction is None and margin.limb is None:
                 continue
             if (margin.limb is not None) != (kind in ("place", "normal")) or margin.limb not in {None, *limbs}:
                 yield f"{at}: {margin.limb or 'no limb'} is named as the limb of the hold"
-            length = 0.0 if margin.direction is None else float(np.linalg.norm(margin.direction))
-            if abs(length - (kind != "friction")) > 1e-6:
-                yield f"{at}: a unit direction is expected" if kind != "friction" else f"{at}: it has no direction"
+            elif kind == "friction":
+                yield f"{at}: it has no direction"
+            elif margin.direction is None or abs(float(np.linalg.norm(margin.direction)) - 1.0) > UNIT:
+                yield f"{at}: a unit direction is expected"
+            elif self._sideways(phase, kind, margin) > UNIT:
+                yield f"{at}: errors of this kind have no such direction"
+
+    def _sideways(self, phase: Phase, kind: MarginKind, margin: PhaseMargin) -> float:
+        """How far the direction of a margin is from those that errors of its kind have, as the sine of an angle."""
+        direction = np.array(margin.direction)
+        if kind == "mass":
+            gravity = self._wall.gravity / np.linalg.norm(self._wall.gravity)
+            return float(np.linalg.norm(np.cross(gravity, direction)))
+        if self._planar:
+            return float(np.linalg.norm(direction[:2] if kind == "normal" else direction[2:]))
+        if kind == "normal":
+            (hold,) = (contact.hold for contact in phase.contacts if contact.limb == margin.limb)
+            return abs(float(self._wall.normals[hold] @ direction))
+        return 0.0
 
     def _open(self, kind: MarginKind, margin: PhaseMargin) -> bool:
         """Whether a margin is as great as they come, so that nothing is known of a worst case."""
@@ -196,6 +215,19 @@ class MarginChecks:
         for trial in trials:
             at = self._label(trial.number, trial.error.kind)
             self._ledger.note("margins", np.array([trial.lacking]), [f"{at}, t = {trial.where:.4f} s"])
+
+    def _follow(self) -> None:
+        """A limb follows a hold that is displaced if motors drive all of its joints, and there are enough of them."""
+        stuck = {
+            limb.name
+            for limb in self._robot.limbs
+            if len(limb.joints) < self._dimension or not np.all(limb.effort > 0.0)
+        }
+        for number, phase in enumerate(self._plan.phases):
+            held = stuck & {contact.limb for contact in phase.contacts}
+            if held and phase.margins["place"].value > 0.0:
+                at = self._label(number, "place")
+                self._ledger.note("margins", np.array([np.inf]), [f"{at}, {min(held)} cannot follow its hold"])
 
     def _tight(self) -> None:
         """At the worst instant a greater error is not survived."""

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from plans import edited
 
 from climber.apart import Cells, why_apart
 from climber.atlas import atlas_path
@@ -22,6 +23,7 @@ from climber.path import Search, find_path, unwound
 from climber.phase_motion import MotionBudget
 from climber.phases import Way
 from climber.plan import plan_climb
+from climber.plan_file import Plan
 from climber.regrasp import rigid, with_regrasps
 from climber.robot import Model, Robot
 from climber.scenario import Scenario, load_scenario
@@ -402,6 +404,9 @@ def test_refining_finds_the_climb_and_it_verifies(seed: int) -> None:
     assert any("obstacles cut" in cut.reason for cut in plan.robots[0].cuts)
     verdict = verify(plan)
     assert verdict.ok, str(verdict)
+    # A limb of one joint or none does not follow a hold that is out of place.
+    claiming = edited(plan, "robots/0/phases/2/margins/place/value", 1e-3)
+    assert {check.name for check in verify(Plan.from_json(claiming)).failures} == {"margins"}
 
 
 @pytest.mark.parametrize("on_failure", ["cut", "penalise"])

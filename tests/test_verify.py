@@ -172,6 +172,10 @@ EXACTLY = [
     ("worst instants", step_plan, f"{PHASE}/1/margins/normal/limb", "right_front"),
     ("worst instants", step_plan, f"{PHASE}/1/margins/push/limb", "left_front"),
     ("worst instants", step_plan, f"{PHASE}/1/margins/place/value", 0.03),
+    ("worst instants", step_plan, f"{PHASE}/1/margins/friction/limb", "left_front"),
+    ("worst instants", step_plan, f"{PHASE}/1/margins/mass/direction", [0.6, 0.8, 0.0]),
+    ("worst instants", step_plan, f"{PHASE}/1/margins/push/direction/2", 1e-5),
+    ("worst instants", step_plan, f"{PHASE}/1/margins/normal/direction/0", 1e-5),
 ]
 
 
