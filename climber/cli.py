@@ -1,4 +1,4 @@
-"""The command line: `climber solve | verify | simulate | draw | explain | table | robot | wall`.
+"""The command line: `climber solve | verify | margins | limits | simulate | draw | explain | table | robot | wall`.
 
 Exit codes: 0 all is well, 1 the answer is no (no climb found, a check failed), 2 the input is at fault.
 """
@@ -56,6 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     from climber import __version__
     from climber.explain_command import add_explain_command
+    from climber.limit_table import add_limits_command
     from climber.margin_table import add_margins_command
     from climber.simulate_command import add_simulate_command
     from climber.table_command import add_table_command
@@ -90,6 +91,7 @@ def _parser() -> argparse.ArgumentParser:
     verify.set_defaults(run=_verify)
 
     margins = add_margins_command(commands)
+    limits = add_limits_command(commands)
     simulate = add_simulate_command(commands)
 
     draw = commands.add_parser("draw", help="draw the pictures of a plan file")
@@ -105,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
     wall = add_wall_command(commands)
     table = add_table_command(commands)
 
-    for command in (solve, verify, margins, simulate, draw, robot, explain, wall, table):
+    for command in (solve, verify, margins, limits, simulate, draw, robot, explain, wall, table):
         command.add_argument("--json", action="store_true", help="print the result as JSON")
     return parser
 
@@ -145,6 +147,7 @@ def _number(text: str) -> float:
 
 
 def _solve(options: argparse.Namespace) -> int:
+    from climber.limit_table import told_in_short
     from climber.margin_table import margin_table
     from climber.plan import plan_climb
     from climber.scenario import load_scenario
@@ -211,13 +214,30 @@ def _solve(options: argparse.Namespace) -> int:
             console.print(f"  {robot.name}: {robot.moves} moves of cost {robot.cost:g}", markup=False)
         if robot.objective is not None:
             (_, first), (_, last) = robot.record[0], robot.record[-1]
-            better = f", improved from {first:.4g}" if len(robot.record) > 1 else ""
-            console.print(f"  {robot.objective.kind} {last:.4g}{better}", markup=False)
+            better = f", improved from {_size(first)}" if len(robot.record) > 1 else ""
+            console.print(f"  {_worded(robot.objective.kind, last)}{better}", markup=False)
+        if limits := told_in_short(robot):
+            console.print(f"  kept from being faster by {limits}", markup=False)
         for limbs in _told(robot.stances):
             console.print(f"  {limbs}", style="dim", markup=False)
         console.print(margin_table(robot, console.width))
     console.print(f"wrote {', '.join(str(path) for path in written)}")
     return OK
+
+
+def _size(value: float) -> str:
+    """The value of an objective; that of `margin` is less than zero, so that less is better."""
+    return f"{abs(value):.4g}"
+
+
+def _worded(kind: str, value: float) -> str:
+    """An objective and its value for people."""
+    units = {
+        "length": "m and rad, in joint space",
+        "time": "s",
+        "margin": "of a limb's reach to where the support ends, or of a motor's torque left",
+    }
+    return f"{kind} {_size(value)} {units[kind]}"
 
 
 def _told(stances: Sequence[dict[str, int]]) -> list[str]:
