@@ -35,7 +35,6 @@ from climber.wall import GRAVITY
 
 PELVIS_SPEED, PELVIS_TURN = 1.0, 2.0  # [m/s, rad/s] the pelvis has no limit of its own
 HOLDING = 2 / 3  # share of their speed limits that the joints of limbs in contact use
-JERK = 1000.0  # [rad/s^3] of joints: full acceleration in some 50 ms
 # What samples keep to: less than what postures are chosen with (`climber.programs.torque`), in forces and in torques,
 # so that there is room to move in even where a posture is at the edge of what can be held.
 MARGIN = Margin(force=0.002, torque=0.08)
@@ -61,7 +60,7 @@ class RateLimits:
     jerk: Vector
 
     @classmethod
-    def of(cls, robot: Robot, pace: float, holding: Iterable[int] = ()) -> RateLimits:
+    def of(cls, robot: Robot, pace: float, most_jerk: float, holding: Iterable[int] = ()) -> RateLimits:
         """The limits of a robot's joints, and some for its pelvis, for a motion at a share `pace` of the fastest.
 
         Without other limits such a motion is the fastest one slowed to that share: it has that share of the speed, its
@@ -69,7 +68,7 @@ class RateLimits:
         where such a limb passes through straight, a small error of the pelvis is a great one of the joint.
         """
         nv = robot.plant.num_velocities()
-        speed, acceleration, jerk = np.empty(nv), np.empty(nv), np.full(nv, JERK)
+        speed, acceleration, jerk = np.empty(nv), np.empty(nv), np.full(nv, most_jerk)
         for limb in robot.limbs:
             speed[limb.v], acceleration[limb.v] = limb.velocity, limb.acceleration
         for i in holding:

@@ -40,6 +40,7 @@ class MotionBudget:
         pace: Share of the joints' speed limits that a motion uses at the most, see `RateLimits.of`.
         rate: Samples per second [Hz].
         slowest: A phase is not slowed beyond this duration [s].
+        jerk: Greatest jerk of joints [rad/s^3], at full pace.
     """
 
     attempts: int = 12
@@ -47,6 +48,7 @@ class MotionBudget:
     pace: float = 0.9
     rate: float = 100.0
     slowest: float = 30.0
+    jerk: float = 1000.0
 
     @classmethod
     def of(cls, budget: Budget, multiple: int = 1) -> MotionBudget:
@@ -56,6 +58,7 @@ class MotionBudget:
             iterations=multiple * budget.path_iterations,
             rate=budget.sample_rate_hz,
             slowest=budget.longest_phase_s,
+            jerk=budget.jerk_limit,
         )
 
 
@@ -98,7 +101,7 @@ def timed(
     Returns:
         The samples with their forces and torques, and how they came about; or, if there is no timing, why not.
     """
-    limits = RateLimits.of(body.robot, budget.pace, [contact.limb for contact in contacts])
+    limits = RateLimits.of(body.robot, budget.pace, budget.jerk, [contact.limb for contact in contacts])
     for finer in FINER:
         legs: list[_TimedLeg] = []
         for path in paced:

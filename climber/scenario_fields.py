@@ -193,6 +193,8 @@ class Budget:
         improve_s: Time for further rounds after those [s]; what they find depends on the machine.
         sample_rate_hz: Samples per second in the plan [1/s].
         longest_phase_s: A motion that its torques do not permit is slowed, but not beyond this duration [s].
+        jerk_limit: Greatest jerk of joints [rad/s^3], and of the pelvis as it turns; of its place as much at the reach
+            of a limb. 1000 lets joints reach their full acceleration in some 50 ms.
     """
 
     time_limit_s: float = field(default=120.0, metadata=rule(above=0.0))
@@ -205,6 +207,7 @@ class Budget:
     improve_s: float = field(default=0.0, metadata=rule(at_least=0.0))
     sample_rate_hz: float = field(default=100.0, metadata=rule(at_least=100.0, at_most=10_000.0))
     longest_phase_s: float = field(default=30.0, metadata=rule(above=0.0))
+    jerk_limit: float = field(default=1000.0, metadata=rule(above=0.0))
 
 
 @dataclasses.dataclass

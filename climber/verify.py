@@ -62,7 +62,7 @@ def verify(plan: Plan | str | Path) -> Verdict:
         spec = scenario.robots[number]
         StructureChecks(robot, wall, spec, robot_plan, ledger).check()
         MotionChecks(robot, wall, spec, robot_plan, ledger).check()
-        TimingChecks(robot, wall, robot_plan, ledger).check()
+        TimingChecks(robot, wall, scenario.budget.jerk_limit, robot_plan, ledger).check()
         MarginChecks(robot, wall, asked, robot_plan, ledger).check()
         ObjectiveChecks(robot, wall, robot_plan, ledger).check()
     if len(robots) > 1:

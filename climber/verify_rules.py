@@ -59,7 +59,12 @@ RULES: Final[dict[str, Rule]] = {
     "joint limits": Rule("joint positions within their limits (excess)", "at most", SAME, "rad"),
     "speed limits": Rule("joint velocities within their limits (excess)", "at most", SAME, "rad/s"),
     "torque limits": Rule("joint torques within their limits (excess)", "at most", TORQUE, "N m"),
-    "timing": Rule("limits are the model's, active ones the phase's, intervals in order", "at most", 0, "faults"),
+    "timing": Rule(
+        "limits within the model's and scenario's, active ones the phase's, intervals in order",
+        "at most",
+        0,
+        "faults",
+    ),
     "timing limits": Rule("share of its phase's limits that a speed or acceleration uses", "at most", OVERSHOOT, ""),
     "timing jerk": Rule("share of its phase's limits that a jerk uses", "at most", OVERSHOOT_OF_JERK, ""),
     "active limits": Rule("share in use of a rate or torque limit told as active", "at least", IN_USE, ""),

@@ -20,7 +20,7 @@ RATES = ("speed", "acceleration", "jerk")
 class TimingChecks:
     """Goes through a robot's phases and takes down what their timing gets wrong."""
 
-    def __init__(self, robot: Robot, wall: Wall, plan: RobotPlan, ledger: Ledger) -> None:
+    def __init__(self, robot: Robot, wall: Wall, jerk_limit: float, plan: RobotPlan, ledger: Ledger) -> None:
         self._robot, self._wall, self._plan, self._ledger = robot, wall, plan, ledger
         fastest = np.concatenate([limb.velocity for limb in robot.limbs])
         swiftest = np.concatenate([limb.acceleration for limb in robot.limbs])
@@ -28,8 +28,11 @@ class TimingChecks:
         self._most = {
             "speed": dict(zip(names, fastest.tolist(), strict=True)),
             "acceleration": dict(zip(names, swiftest.tolist(), strict=True)),
-            "jerk": {},
+            "jerk": dict.fromkeys(names, jerk_limit),
         }
+        reach = float(np.mean(robot.reach))
+        for place, turns in zip(robot.base_v, np.isin(robot.base_q, robot.angle_q), strict=True):
+            self._most["jerk"][robot.velocity_names[place]] = jerk_limit * (1.0 if turns else reach)
 
     def check(self) -> None:
         """Checks every phase."""
@@ -49,7 +52,7 @@ class TimingChecks:
             for name, limit in limits.items():
                 most = self._most[kind].get(name, np.inf)
                 if not 0.0 < limit <= most + SAME:
-                    whose = f", the model's {most:g}" if limit > 0.0 else ""
+                    whose = f", at most {most:g}" if limit > 0.0 else ""
                     yield f"its limit of {kind} of {name} is {limit:g}{whose}"
         before = -np.inf
         for begin, end, name in timing.active:

@@ -18,7 +18,7 @@ from test_torque import robot as _fixture  # noqa: F401
 from climber.curve import Curve
 from climber.dynamics import evaluate
 from climber.exceptions import ModelError
-from climber.fastest import HOLDING, JERK, RESERVE, SHORTEST, FastLeg, RateLimits, fastest_leg, instants_of
+from climber.fastest import HOLDING, RESERVE, SHORTEST, FastLeg, RateLimits, fastest_leg, instants_of
 from climber.manifold import Body, Chart
 from climber.phase_motion import MotionBudget, by_fixed_law, timed
 from climber.programs import torque_blocks
@@ -30,6 +30,7 @@ from climber.verify_motion import drift
 from climber.wall import Hold, Wall
 
 PACE = 0.9
+JERK = MotionBudget().jerk
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Leg:
     path: PacedPath
 
     def fastest(self, pace: float = PACE) -> FastLeg | str | None:
-        return fastest_leg(self.body, self.contacts, self.path, RateLimits.of(self.body.robot, pace))
+        return fastest_leg(self.body, self.contacts, self.path, RateLimits.of(self.body.robot, pace, JERK))
 
 
 def shifting(
@@ -100,7 +101,7 @@ def test_a_leg_keeps_its_limits_with_a_reserve(
     if not isinstance(fast, FastLeg):
         return
     samples = fast.samples(fast.duration, 81)
-    limits = RateLimits.of(leg.body.robot, PACE)
+    limits = RateLimits.of(leg.body.robot, PACE, JERK)
     assert limits.slowing(samples) < 1.1
     holding = [c.limb for c in leg.contacts]
     faster = 1 / np.sqrt(1.1 * RESERVE)  # the same motion, so much faster
@@ -138,7 +139,7 @@ def test_a_leg_begins_and_ends_with_neither_speed_nor_acceleration() -> None:
 
 
 def test_a_leg_is_faster_than_the_law_of_fixed_shape_that_keeps_to_the_same_limits() -> None:
-    fast, limits = a_leg().fastest(), RateLimits.of(a_leg().body.robot, PACE)
+    fast, limits = a_leg().fastest(), RateLimits.of(a_leg().body.robot, PACE, JERK)
     assert isinstance(fast, FastLeg)
     slow = a_leg().path.samples(fast.duration, 401)
     assert limits.slowing(slow) > 1.1
@@ -170,6 +171,19 @@ def test_a_leg_of_no_length_stands_still_for_a_moment() -> None:
         assert samples.time[-1] == pytest.approx(SHORTEST)
         assert np.ptp(samples.q, axis=0).max() < 1e-6
         assert torques.ok.all() and timing.method == "conic"
+
+
+def test_a_motion_is_as_smooth_as_is_asked_for() -> None:
+    leg, durations = a_leg(), []
+    for jerk in (JERK, JERK / 30.0):
+        answer = timed(leg.body, leg.contacts, [leg.path], MotionBudget(jerk=jerk))
+        assert not isinstance(answer, str)
+        samples, _, timing = answer
+        durations.append(samples.time[-1])
+        assert timing.limits["jerk"]["right_front_hip"] == pytest.approx(PACE**3 * jerk)
+        made = np.abs(np.diff(samples.vd, axis=0)) / np.diff(samples.time)[:, None]
+        assert made[:, leg.body.robot.joint_v].max() < 1.03 * jerk
+    assert durations[1] > 1.3 * durations[0]
 
 
 def test_legs_one_after_the_other_have_claims_at_their_own_times() -> None:
@@ -244,19 +258,19 @@ def test_damping_in_a_joint_without_a_motor_is_refused_by_name(tmp_path: Path) -
 
 def test_limits_are_the_models_at_full_pace_and_shrink_with_its_powers() -> None:
     machine = robot("quadruped")
-    full, half = RateLimits.of(machine, 1.0), RateLimits.of(machine, 0.5)
+    full, half = RateLimits.of(machine, 1.0, JERK), RateLimits.of(machine, 0.5, JERK)
     assert (full.speed[machine.joint_v] == 4.0).all() and (full.acceleration[machine.joint_v] == 60.0).all()
     assert (full.jerk[machine.joint_v] == JERK).all()
     for name, factor in (("speed", 0.5), ("acceleration", 0.25), ("jerk", 0.125)):
         assert getattr(half, name) == pytest.approx(factor * getattr(full, name))
         assert set(full.by_name(machine)[name]) == set(machine.velocity_names)
-    holding = RateLimits.of(machine, 1.0, [1])
+    holding = RateLimits.of(machine, 1.0, JERK, [1])
     assert holding.speed[machine.limbs[1].v] == pytest.approx(HOLDING * 4.0)
     assert (holding.speed[machine.limbs[0].v] == 4.0).all()
 
 
 def test_a_motion_beyond_its_limits_is_slowed_by_as_much_as_it_takes() -> None:
-    fast, limits = a_leg().fastest(), RateLimits.of(a_leg().body.robot, PACE)
+    fast, limits = a_leg().fastest(), RateLimits.of(a_leg().body.robot, PACE, JERK)
     assert isinstance(fast, FastLeg)
     for kind, order in (("speed", 1), ("acceleration", 2), ("jerk", 3)):
         tight = replace(limits, **{kind: getattr(limits, kind) / 2.0**order})

@@ -88,6 +88,19 @@ def test_an_untruth_is_found_by_the_check_for_it(check: str, path: str, value: o
     assert check in failing(edited(told(), f"{PHASE}/1/timing/{path}", value))
 
 
+def test_a_limit_of_jerk_beyond_the_scenarios_is_found_of_joints_and_of_the_pelvis() -> None:
+    (robot,) = told().robots
+    jerk = robot.phases[1].timing.limits["jerk"]["right_front_hip"]
+    text = told().scenario_text + f"budget: {{jerk_limit: {jerk}}}\n"
+    asked = Plan.from_json(edited(told(), "scenario/text", text))
+    assert verify(asked).ok
+    limits = f"{PHASE}/1/timing/limits/jerk"
+    for name, most in (("right_front_hip", jerk), ("base_wz", jerk), ("base_vx", 0.25 * jerk)):
+        told_so = edited(asked, limits, {"right_front_hip": jerk, name: 1.01 * most})
+        assert "timing" in failing(told_so)
+        assert "timing" not in failing(edited(asked, limits, {"right_front_hip": jerk, name: 0.99 * most}))
+
+
 def test_a_limit_beyond_the_models_is_found() -> None:
     for kind in ("speed", "acceleration"):
         path = f"{PHASE}/1/timing/limits/{kind}/right_front_hip"
