@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from climber.definite import Factored, solved
 from climber.stance import Vector
 from climber.wall import Wall
 
@@ -26,6 +28,7 @@ GENTLER = (1e2, 1e4, 1e6, 1e8)  # greatest weights of programs on the way to a s
 SETTLED = 1e-4  # [N, N m] a step that is shorter ends it
 SHORTEST = 1e-3  # share of a step that is taken even if it does not help
 ROUNDING = 1e-12  # share of the cost
+LEVEL = 1e-6  # share of the slope that a step begins with, at which it ends level
 TINY = 1e-9  # [N]
 
 
@@ -91,7 +94,12 @@ class ForceControl:
         grips = [wall.holds[number] for number in holds]
         size = axes * len(holds) + moments
         self._rubs = [k for k, hold in enumerate(grips) if hold.grip != "pin"]
-        self._friction = np.array([grips[k].friction for k in self._rubs])
+        friction = np.array([grips[k].friction for k in self._rubs])
+        # Shares of friction that may be used, by level and foot, are the first less what is to be left of the second.
+        self._friction = np.array([*np.ones_like(LEVELS), FULL])[:, None] * friction
+        self._spared = np.array([*LEVELS, 0.0])[:, None] * friction
+        costs = [*(SPARED * DEARER**level for level in range(len(LEVELS))), LIMIT]  # of cones
+        self._costs = np.repeat([*costs, SPARED, LIMIT], len(friction))
         self._pull = np.array([grips[k].adhesion for k in self._rubs])
         self._turn, ease = np.eye(size), np.ones(size)  # the axes of holds, the normal last
         self._places = np.array([range(axes * k, axes * k + axes) for k in self._rubs], dtype=int).reshape(-1, axes)
@@ -121,8 +129,31 @@ class ForceControl:
 
     def cost(self, demand: Demand, forces: Vector) -> float:
         """The objective at given forces, shape (m,)."""
-        program, x = _Program(self, demand), self._turn @ forces
-        return program.cost(x, program.limits(x)[0])
+        return _Program(self, demand).point(self._turn @ forces).cost
+
+
+class _Point(NamedTuple):
+    """Forces, and what the program says of them.
+
+    Attributes:
+        x: The forces, shape (m,).
+        excess: By how much each limit is exceeded, shape (c,).
+        turning: Signs of the torques.
+        along: Which way each foot's force across the normal points, shape (k, axes - 1).
+        slide: Its length, shape (k,).
+        pulls: Derivatives of the penalties by their limits, halved, shape (c,).
+        smooth: Half the gradient of all else, shape (m,).
+        cost: The objective.
+    """
+
+    x: Vector
+    excess: Vector
+    turning: Vector
+    along: Vector
+    slide: Vector
+    pulls: Vector
+    smooth: Vector
+    cost: float
 
 
 class _Program:
@@ -132,15 +163,12 @@ class _Program:
         self._control = control
         back = control._turn.T
         self._wished, self._E, self._b = control._turn @ demand.wished, demand.E @ back, demand.load
-        self._A = np.vstack([demand.A @ back, control._gripping])
+        self._A = np.concatenate([demand.A @ back, control._gripping])
         self._c = np.concatenate([demand.c, np.zeros(len(control._moment))])
         self._most = np.concatenate([demand.most, control._moment])
         self._press = max(demand.press, LEAST)
-        shares = np.append(1.0 - demand.drop * np.array(LEVELS), FULL)
-        self._shares = shares[:, None] * control._friction  # (levels, feet)
-        k = len(control._friction)
-        costs = np.append(SPARED * DEARER ** np.arange(len(LEVELS)), LIMIT)
-        self._weights = np.concatenate([np.repeat(costs, k), np.full(k, SPARED), np.full(k + len(self._most), LIMIT)])
+        self._shares = control._friction - demand.drop * control._spared  # (levels, feet)
+        self._weights = np.concatenate([control._costs, np.full(len(self._most), LIMIT)])
         self._ease = control._ease * self._readiness() ** 2
 
     def _readiness(self) -> Vector:
@@ -148,59 +176,58 @@ class _Program:
         places, ready = self._control._places, np.ones(len(self._wished))
         pushes = self._wished[places[:, -1]] + self._control._pull
         mean = max(float(pushes.sum()) / max(len(pushes), 1), LEAST)
-        ready[places] = np.clip(pushes / mean, LIGHT, 1.0)[:, None]
+        ready[places] = (pushes / mean).clip(LIGHT, 1.0)[:, None]
         return ready
 
     def balanced(self) -> Vector:
         """The solution but for what is exceeded."""
         eased = self._ease[:, None] * self._E.T
         carry = self._E @ eased
-        carry += (1e-9 * np.trace(carry) + 1e-12) * np.eye(len(carry))
-        result: Vector = self._wished + eased @ np.linalg.solve(carry, self._b - self._E @ self._wished)
+        carry += (1e-9 * carry.trace() + 1e-12) * np.eye(len(carry))
+        result: Vector = self._wished + eased @ solved(carry, self._b - self._E @ self._wished)
         return result
 
-    def _parts(self, x: Vector) -> tuple[Vector, Vector, Vector, Vector]:
-        """Forces across the normals, (k, axes - 1), their lengths, (k,), forces along, (k,), and torques."""
+    def _limits(self, x: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+        """The `excess`, `turning`, `along` and `slide` of a point."""
         feet = x[self._control._places]
-        across = feet[:, :-1]
-        return (
-            across,
-            np.sqrt((across**2).sum(axis=1) + TINY**2),
-            feet[:, -1] + self._control._pull,
-            self._c - self._A @ x,
-        )
+        across, push = feet[:, :-1], feet[:, -1] + self._control._pull
+        slide = np.sqrt((across**2).sum(axis=1) + TINY**2)
+        torque = self._c - self._A @ x
+        cones = slide - self._shares * push
+        excess = np.concatenate([cones.ravel(), self._press - push, LEAST - push, np.abs(torque) - self._most])
+        return excess, np.sign(torque), across / slide[:, None], slide
 
     def exceeds(self, x: Vector) -> bool:
         """Whether forces use more friction than they should, or a foot or motor does what it cannot."""
-        return bool((self.limits(x)[0] > INSIDE).any())
+        return bool(self._limits(x)[0].max() > INSIDE)
 
-    def limits(self, x: Vector) -> tuple[Vector, Vector, Vector, Vector]:
-        """By how much each limit is exceeded, (c,), the signs of torques, and slides as in `_parts`."""
-        across, slide, push, torque = self._parts(x)
-        excess = np.concatenate(
-            [
-                (slide - self._shares * push).ravel(),
-                self._press - push,
-                LEAST - push,
-                np.abs(torque) - self._most,
-            ]
-        )
-        return excess, np.sign(torque), across / slide[:, None], slide
+    def point(self, x: Vector) -> _Point:
+        """What there is to say of forces."""
+        limits = self._limits(x)
+        off, lacking, beyond = x - self._wished, self._E @ x - self._b, np.maximum(limits[0], 0.0)
+        eased, pulls = off / self._ease, self._weights * beyond
+        cost = float(eased @ off + BALANCE * lacking @ lacking + pulls @ beyond)
+        return _Point(x, *limits, pulls, eased + BALANCE * lacking @ self._E, cost)
 
-    def _slopes(self, sign: Vector, along: Vector) -> Vector:
+    def _slopes(self, point: _Point) -> Vector:
         """How limits change with the forces, shape (c, m)."""
-        places, m = self._control._places, len(self._wished)
-        slides = np.zeros((len(places), m))
-        slides[np.arange(len(places))[:, None], places[:, :-1]] = along
-        normals = self._control._normals
-        cones = slides - self._shares[:, :, None] * normals
-        return np.concatenate([cones.reshape(-1, m), -normals, -normals, -sign[:, None] * self._A])
+        places, normals = self._control._places, self._control._normals
+        cones = -self._shares[:, :, None] * normals
+        cones[:, np.arange(len(places))[:, None], places[:, :-1]] = point.along
+        torques = -point.turning[:, None] * self._A
+        return np.concatenate([cones.reshape(-1, len(point.x)), -normals, -normals, torques])
 
-    def cost(self, x: Vector, excess: Vector) -> float:
-        """The objective at forces that exceed limits by so much."""
-        off, lacking = x - self._wished, self._E @ x - self._b
-        beyond = np.maximum(excess, 0.0)
-        return float((off / self._ease) @ off + BALANCE * lacking @ lacking + (self._weights * beyond) @ beyond)
+    def _curvature(self, point: _Point, slopes: Vector) -> Vector:
+        """Half the Hessian, shape (m, m)."""
+        tight, along = point.excess > 0.0, point.along
+        slopes = slopes[tight]
+        result = np.diag(1.0 / self._ease) + BALANCE * self._E.T @ self._E
+        result += (slopes.T * self._weights[tight]) @ slopes
+        bent = point.pulls[: self._shares.size].reshape(self._shares.shape).sum(axis=0) / point.slide
+        turn = np.eye(along.shape[1]) - along[:, :, None] * along[:, None, :]
+        across = self._control._places[:, :-1]
+        result[across[:, :, None], across[:, None, :]] += bent[:, None, None] * turn
+        return result
 
     def solve(self, x: Vector, last: Vector | None) -> Vector:
         """The solution: from that of the moment before, or from x by way of programs with smaller weights."""
@@ -217,48 +244,53 @@ class _Program:
 
     def _descend(self, x: Vector, steps: int) -> tuple[Vector, bool]:
         """Newton's method from x with so many steps at the most; and whether that is the end."""
-        places, cones = self._control._places, self._shares.size
-        fixed = np.diag(1.0 / self._ease) + BALANCE * self._E.T @ self._E
-        excess, sign, along, slide = self.limits(x)
+        point, hessian = self.point(x), None
         for _ in range(steps):
             self._control.steps += 1
-            # Half the gradient and half the Hessian.
-            slopes, beyond = self._slopes(sign, along), np.maximum(excess, 0.0)
-            smooth = (x - self._wished) / self._ease + BALANCE * (self._E @ x - self._b) @ self._E
-            gradient = smooth + (self._weights * beyond) @ slopes
-            tight = slopes[excess > 0.0]
-            hessian = fixed + (tight.T * self._weights[excess > 0.0]) @ tight
-            bent = (self._weights * beyond)[:cones].reshape(self._shares.shape).sum(axis=0) / slide
-            turn = np.eye(along.shape[1]) - along[:, :, None] * along[:, None, :]
-            sideways = places[:, :-1]
-            hessian[sideways[:, :, None], sideways[:, None, :]] += bent[:, None, None] * turn
-            step = -np.linalg.solve(hessian, gradient)
-            share = self._best_share(excess, slopes @ step, float(smooth @ step), float(step @ fixed @ step))
-            cost, before = self.cost(x, excess), excess > 0.0
+            slopes = self._slopes(point)
+            gradient = point.smooth + point.pulls @ slopes
+            if hessian and np.abs(step := hessian.solved(gradient)).max() < SETTLED:
+                return point.x - step, True
+            hessian = Factored(self._curvature(point, slopes))
+            step = -hessian.solved(gradient)
+            share, before = self._best_share(point, slopes @ step, step), point
             while True:
-                excess, sign, along, slide = self.limits(x + share * step)
-                if share < SHORTEST or self.cost(x + share * step, excess) <= cost + ROUNDING * abs(cost):
+                point = self.point(before.x + share * step)
+                if share < SHORTEST or point.cost <= before.cost + ROUNDING * abs(before.cost):
                     break
                 share *= 0.5
-            x = x + share * step
-            # A step may be short because of a limit that it is about to leave.
-            if np.abs(step).max() < SETTLED and (before == (excess > 0.0)).all():
-                return x, True
-        return x, False
+            # A step may be short because of a limit that it is about to leave. After one that leaves none and meets
+            # none, Newton's next is told nearly as well by the same Hessian, and if it is short it is the last.
+            if ((before.excess > 0.0) != (point.excess > 0.0)).any():
+                hessian = None
+            elif np.abs(step).max() < SETTLED:
+                return point.x, True
+        return point.x, False
 
-    def _best_share(self, excess: Vector, change: Vector, slope: float, curvature: float) -> float:
+    def _best_share(self, point: _Point, change: Vector, step: Vector) -> float:
         """The share of a step that costs least, between 0 and 1, were the cones straight.
 
-        The slope of the cost is slope + share curvature + sum w change (excess + share change)_+, piecewise linear.
+        The slope of the cost is then piecewise linear in the share: that of what is smooth, and for each limit
+        w change (excess + share change)_+.
+
+        Args:
+            point: Where the step begins.
+            change: How limits change in the whole step, shape (c,).
+            step: The step, shape (m,).
         """
+        carried, weighted = self._E @ step, self._weights * change
+        slope, curvature = point.smooth @ step, (step / self._ease) @ step + BALANCE * carried @ carried
 
         def slopes(shares: Vector) -> Vector:
-            beyond = np.maximum(excess + shares[:, None] * change, 0.0)
-            return np.asarray(slope + shares * curvature + beyond @ (self._weights * change))
+            beyond = np.maximum(point.excess + shares[:, None] * change, 0.0)
+            return np.asarray(slope + shares * curvature + beyond @ weighted)
 
-        crossing = change * excess < 0.0
-        ends = np.append(-excess[crossing] / change[crossing], 1.0)
-        ends = np.concatenate([[0.0], np.sort(ends[ends <= 1.0])])
+        start, end = slopes(np.array([0.0, 1.0]))
+        if end <= LEVEL * abs(start):
+            return 1.0
+        crossing = change * point.excess < 0.0
+        ends = -point.excess[crossing] / change[crossing]
+        ends = np.concatenate([[0.0], np.sort(ends[ends < 1.0]), [1.0]])
         rising = slopes(ends)
         above = np.flatnonzero(rising > 0.0)
         if not len(above) or above[0] == 0:
