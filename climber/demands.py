@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,14 @@ from climber.least_margins import with_unit
 from climber.margins import CAPS, phase_margins
 from climber.phase_instants import Moving
 from climber.plan_parts import MarginKind
-from climber.programs.torque import static_feasible
 from climber.robot import Robot
 from climber.scenario_fields import SURE, MinMargin
 from climber.stance import Contact, Vector
 from climber.timing import Samples
 from climber.wall import Wall
+
+if TYPE_CHECKING:
+    from climber.manifold import Body
 
 SEEN = 0.9  # share of the greatest margin looked for that is sure to be found where there is more
 
@@ -97,11 +100,9 @@ class Demands:
         return np.array([not words for words in self.lacking(robot, postures)], dtype=bool)
 
 
-def can_stand(
-    robot: Robot, wall: Wall, q: Vector, contacts: Sequence[Contact], demands: Demands | None
-) -> NDArray[np.bool_]:
+def can_stand(body: Body, q: Vector, contacts: Sequence[Contact]) -> NDArray[np.bool_]:
     """Which postures q, shape (K, nq), can be held still by contacts and motors, with the margins asked for; (K,)."""
-    good = np.asarray(static_feasible(robot, wall, q, list(contacts)))
+    good, demands = body.held(q, contacts), body.demands
     if demands is not None and demands.least and good.any():
-        good[good] = demands.standing(robot, q[good], contacts)
+        good[good] = demands.standing(body.robot, q[good], contacts)
     return good

@@ -27,6 +27,7 @@ from climber.dynamics import turning
 from climber.inverse import limb_inverse
 from climber.kinematics import Kinematics, Pose
 from climber.newton import NewtonChart
+from climber.programs.carried import Precedents
 from climber.programs.torque import static_feasible
 from climber.robot import Indices, Robot
 from climber.stance import Contact, Vector
@@ -67,6 +68,7 @@ class Body:
         kinematics: Its kinematics.
         clearance: Its clearance.
         supports: Where the centre of mass may be over sets of contacts, as far as that is known yet; see `support_of`.
+        precedents: What is known of which postures sets of contacts can hold.
         inverse: The inverse kinematics of each limb; None for one that has none in closed form, such as one of a single
             joint.
     """
@@ -76,6 +78,7 @@ class Body:
         self.kinematics = Kinematics(robot)
         self.clearance = clearance_of(self.kinematics, wall)
         self.supports: dict[tuple[Contact, ...], Region | None] = {}
+        self.precedents: dict[tuple[Contact, ...], Precedents] = {}
         self.inverse = tuple(
             limb_inverse(robot.planar, limb, chain)
             for limb, chain in zip(robot.limbs, self.kinematics.chains, strict=True)
@@ -85,6 +88,11 @@ class Body:
     def asked(self) -> str:
         """What to add where a posture cannot be held, as margins may be asked for."""
         return f" with the margins asked for ({self.demands.told()})" if self.demands and self.demands.least else ""
+
+    def held(self, q: Vector, contacts: Sequence[Contact]) -> NDArray[np.bool_]:
+        """Which postures q, shape (K, nq), contacts and motors can hold still, shape (K,)."""
+        known = self.precedents.setdefault(tuple(contacts), Precedents())
+        return static_feasible(self.robot, self.wall, q, contacts, precedents=known)
 
     def branches(self, q: Vector) -> tuple[int, ...]:
         """The branch of every limb at the configuration `q`, shape (nq,).
@@ -322,7 +330,7 @@ class Manifold:
         """
         if not self.body.robot.weak:
             return np.ones(len(q), dtype=bool)
-        return static_feasible(self.body.robot, self.body.wall, q, self.contacts)
+        return self.body.held(q, self.contacts)
 
     def feasible(self, chart: AnyChart, u: Vector) -> NDArray[np.bool_]:
         """Which chart coordinates `u`, shape (K, num_coordinates), are feasible; shape (K,), bool."""

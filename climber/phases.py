@@ -163,8 +163,7 @@ class PhasePlanner:
     def held(self, q: Vector, manifolds: Sequence[Manifold]) -> bool:
         """Whether contacts and motors can hold a posture still on each of the manifolds."""
         every = {manifold.contacts: None for manifold in manifolds}
-        body = self.body
-        return all(bool(can_stand(body.robot, body.wall, q[None], c, body.demands)[0]) for c in every)
+        return all(bool(can_stand(self.body, q[None], contacts)[0]) for contacts in every)
 
     def curves(
         self, stretch: Stretch, a: Vector, b: Vector, budget: MotionBudget, rng: np.random.Generator

@@ -144,7 +144,7 @@ class TransitionFinder:
 
     def _carried(self, q: Vector, contacts: Sequence[Contact]) -> NDArray[np.bool_]:
         """Which configurations, shape (M, nq), the contacts can carry with the torques there are."""
-        return can_stand(self.body.robot, self.body.wall, q, contacts, self.body.demands)
+        return can_stand(self.body, q, contacts)
 
     def arrival(self, support: tuple[Contact, ...], limb: int, hold: int) -> Postures:
         """Postures in which `limb` has just taken `hold`: at the patch's centre, or where else on it one exists."""

@@ -130,7 +130,11 @@ class Instants:
 
     def __getitem__(self, index: Indices | Mask | slice) -> Instants:
         """The instants at `index`."""
-        return replace(self, E=self.E[index], b=self.b[index], A=self.A[index], c=self.c[index])
+        result = replace(self, E=self.E[index], b=self.b[index], A=self.A[index], c=self.c[index])
+        for name in ("lift", "scales", "_force_limits"):  # what is known already
+            if name in vars(self):
+                vars(result)[name] = self.lift[index] if name == "lift" else vars(self)[name]
+        return result
 
     def objective(self) -> tuple[Vector, Vector]:
         """H, shape (K, n, n), and g, (K, n), of the objective t^T H t / 2 + g^T t: small torques, forces amid limits.
@@ -179,8 +183,13 @@ class Instants:
     def balanced(self, t: Vector) -> Vector:
         """The t nearest to the given ones, both of shape (K, n), with E t = b, or with the least |E t - b|."""
         gap = self.b - np.einsum("sun,sn->su", self.E, t)
-        result: Vector = t + np.einsum("snu,su->sn", np.linalg.pinv(self.E), gap)
+        result: Vector = t + np.einsum("snu,su->sn", self.lift, gap)
         return result
+
+    @cached_property
+    def lift(self) -> Vector:
+        """The pseudo-inverses of E, shape (K, n, u): the least change of t that changes E t."""
+        return np.asarray(np.linalg.pinv(self.E))
 
     def imbalance(self, t: Vector) -> Vector:
         """The greatest entry of |E t - b| [N, N m], shape (K,), for t of shape (K, n)."""

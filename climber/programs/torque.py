@@ -20,6 +20,7 @@ from pydrake.solvers import Binding, ClarabelSolver, MathematicalProgram, Solver
 
 from climber.dynamics import DynamicsBatch, evaluate_at_rest, turning
 from climber.programs import torque_blocks
+from climber.programs.carried import Precedents, can_carry
 from climber.programs.forces import ContactForces, ForceLimits, wall_forces
 from climber.programs.instants import Instants, Margin, Mask
 from climber.robot import Robot
@@ -261,7 +262,7 @@ def solve_instants(instants: Instants) -> TorqueBatch:
         t[rest] = optimum
         return TorqueBatch(instants.force(t), instants.torque(t), violation, codes, instants.moment(t))
     # At least one sample is infeasible, or nearly. Which? The optimum of the others is found without them.
-    t[rest], slack = torque_blocks.least_violation(instants[rest])
+    t[rest], slack, *_ = torque_blocks.least_violation(instants[rest])
     roomy, infeasible = rest[slack < -TOLERANCE], rest[slack > TOLERANCE]
     optimum = torque_blocks.optimum(instants[roomy], unlimited[roomy])
     if optimum is not None:  # samples without an optimum keep the forces farthest inside their limits
@@ -279,7 +280,12 @@ def solve_instants(instants: Instants) -> TorqueBatch:
 
 
 def static_feasible(
-    robot: Robot, wall: Wall, q: Vector, contacts: Sequence[Contact], margin: Margin | None = None
+    robot: Robot,
+    wall: Wall,
+    q: Vector,
+    contacts: Sequence[Contact],
+    margin: Margin | None = None,
+    precedents: Precedents | None = None,
 ) -> Mask:
     """Which of the postures q, shape (K, nq), can be held still by the contacts and the motors, shape (K,).
 
@@ -289,6 +295,7 @@ def static_feasible(
         q: The postures.
         contacts: The limbs that hold and their holds.
         margin: How far inside the limits; by default so far that a controller has something to correct with.
+        precedents: What is known from other postures on these contacts with this margin; grows.
     """
     margin = margin or (Margin(force=ROOM * robot.weight) if robot.weak else MARGIN)
     limbs = [contact.limb for contact in contacts]
@@ -298,7 +305,7 @@ def static_feasible(
     balanced = instants.imbalance(t) <= TOLERANCE
     good = balanced & instants.inside(t)
     rest = np.flatnonzero(balanced & ~good)
-    good[rest] = torque_blocks.least_violation(instants[rest])[1] <= TOLERANCE
+    good[rest] = can_carry(instants[rest], precedents)
     return good
 
 

@@ -5,6 +5,8 @@ Each function is one of the stages of `TorqueProgram`, with the instants as the 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from climber.programs.blocks import solve_blocks, solve_each
@@ -13,6 +15,22 @@ from climber.stance import Vector
 
 TOLERANCE = 1e-6  # [N, N m] a violation below this is the solver's rounding
 ROOM = 1.0  # [N, N m] the most room inside the limits that is looked for
+
+
+class Least(NamedTuple):
+    """Forces that violate limits the least, at each of K instants.
+
+    Attributes:
+        t: The forces, shape (K, n).
+        s: The violation [N, N m], shape (K,); infinite where the solver finds no forces.
+        y: Multipliers of E t = b, shape (K, u).
+        w: Multipliers of the torques' limits, positive for the upper and negative for the lower, shape (K, j).
+    """
+
+    t: Vector
+    s: Vector
+    y: Vector
+    w: Vector
 
 
 def unlimited(instants: Instants) -> Vector:
@@ -45,16 +63,21 @@ def optimum(instants: Instants, unlimited: Vector) -> Vector | None:
     return None if change is None else instants.balanced(unlimited + change.x)
 
 
-def least_violation(instants: Instants) -> tuple[Vector, Vector]:
+def least_violation(instants: Instants) -> Least:
     """Balancing forces farthest inside all limits, or least outside: t (K, n) and s (K,) [N, N m], negative inside."""
     rows, limits = _all_limits(instants)
-    return _least_slack(instants, _slackened(rows, 1.0), limits, -ROOM)
+    t, s, y, z = _least_slack(instants, _slackened(rows, 1.0), limits, -ROOM)
+    limited = np.flatnonzero(np.isfinite(instants.limit))
+    upper, lower = np.split(z[:, z.shape[1] - 2 * len(limited) :], 2, axis=1)
+    w = np.zeros(instants.c.shape)
+    w[:, limited] = upper - lower
+    return Least(t, s, -y, w)
 
 
 def least_cone_violation(instants: Instants) -> tuple[Vector, Vector]:
     """Balancing forces with the least s_f, whatever the torques: t (K, n) and s_f (K,) [N]."""
     rows, limits = instants.force_limits()
-    return _least_slack(instants, _slackened(rows, 1.0), limits, 0.0)
+    return _least_slack(instants, _slackened(rows, 1.0), limits, 0.0)[:2]
 
 
 def least_torque_violation(instants: Instants) -> tuple[Vector, Vector]:
@@ -62,7 +85,7 @@ def least_torque_violation(instants: Instants) -> tuple[Vector, Vector]:
     (forces, force_limits), (torques, torque_limits) = instants.force_limits(), instants.torque_limits()
     rows = np.concatenate([_slackened(forces, 0.0), _slackened(torques, 1.0)], axis=1)
     limits = np.concatenate([force_limits + TOLERANCE, torque_limits], axis=1)
-    return _least_slack(instants, rows, limits, 0.0, cones_give=False)
+    return _least_slack(instants, rows, limits, 0.0, cones_give=False)[:2]
 
 
 def _all_limits(instants: Instants) -> tuple[Vector, Vector]:
@@ -78,8 +101,10 @@ def _slackened(rows: Vector, slack: float) -> Vector:
 
 def _least_slack(
     instants: Instants, rows: Vector, limits: Vector, lowest: float, cones_give: bool = True
-) -> tuple[Vector, Vector]:
-    """The least s >= lowest with E t = b and rows (t, s) <= limits, a conic program: t (K, n) and s (K,).
+) -> tuple[Vector, Vector, Vector, Vector]:
+    """The least s >= lowest with E t = b and rows (t, s) <= limits, a conic program.
+
+    Returns t, shape (K, n), s, (K,), and multipliers of the equations and of the rows.
 
     The apexes of friction cones give way by s too, or else by no more than rounding. Where the solver finds no forces
     they count as infinitely far outside: forces that no solver finds are of no use.
@@ -95,6 +120,6 @@ def _least_slack(
         C[:, :, 0, n] = -1.0
     else:
         d[:, :, 0] += TOLERANCE
-    found = solve_each(cost, _slackened(instants.E, 0.0), instants.b, rows, limits, C, d).x
-    t, s = found[:, :n], found[:, n]
-    return np.nan_to_num(t), np.where(np.isnan(s), np.inf, s)
+    x, y, z = solve_each(cost, _slackened(instants.E, 0.0), instants.b, rows, limits, C, d)
+    t, s = x[:, :n], x[:, n]
+    return np.nan_to_num(t), np.where(np.isnan(s), np.inf, s), y, z[:, :-1]
