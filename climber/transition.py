@@ -9,7 +9,7 @@ leave the stance with that limb and all that arrive with it.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
@@ -76,10 +76,22 @@ def support_of(body: Body, contacts: Sequence[Contact]) -> Region | None:
         lower, upper = contact_intervals(body.wall, [list(contacts)], body.robot.mass)[0]
         return None if np.isnan(lower) else Region.interval(float(lower), float(upper))
     key = tuple(contacts)
-    if key not in body.supports:
-        found = contact_regions(body.wall, [key], body.robot.mass, body.robot.dimension, gap=ENCLOSED)
-        body.supports[key] = None if found.empty[0] else Region(found.A[0], found.b[0]).distinct
+    find_supports(body, [key])
     return body.supports[key]
+
+
+def find_supports(body: Body, sets: Iterable[tuple[Contact, ...]]) -> None:
+    """Works out for many sets of contacts at once what `support_of` then knows of each.
+
+    In space a hundred polygons found together take little more time than a few found one after the other. In the plane
+    nothing need be found beforehand.
+    """
+    unknown = [] if body.robot.planar else [key for key in dict.fromkeys(sets) if key not in body.supports]
+    for count in sorted({len(key) for key in unknown}):
+        alike = [key for key in unknown if len(key) == count]
+        found = contact_regions(body.wall, alike, body.robot.mass, body.robot.dimension, gap=ENCLOSED)
+        for key, empty, A, b in zip(alike, found.empty, found.A, found.b, strict=True):
+            body.supports[key] = None if empty else Region(A, b).distinct
 
 
 class Bases(Protocol):

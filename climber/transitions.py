@@ -17,7 +17,15 @@ from climber.manifold import Body, Manifold, Margins
 from climber.scenario import Budget
 from climber.solids import Solid
 from climber.stance import Contact, Move, Vector
-from climber.transition import Failure, Postures, find_transition, first_carried, posture_sampler, support_of
+from climber.transition import (
+    Failure,
+    Postures,
+    find_supports,
+    find_transition,
+    first_carried,
+    posture_sampler,
+    support_of,
+)
 
 IN_SPACE = 0.2  # share of the poses allowed that are drawn in space
 BRIEFLY = (500,)  # pelvis poses drawn for places on a patch in space beside its middle
@@ -161,8 +169,9 @@ class TransitionFinder:
         places = (
             [(s, 0.0) for s in (1.0, -1.0, 0.5, -0.5)] if planar else [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
         )
-        for along, across in places:
-            moved = replace(centre, offset=along * half_width, across=across * half_width)
+        feet = [replace(centre, offset=along * half_width, across=across * half_width) for along, across in places]
+        find_supports(self.body, [ordered((*support, moved)) for moved in feet])
+        for moved in feet:
             found = self.transition(ordered((*support, moved)), limb, self.rounds if planar else BRIEFLY)
             if len(found):
                 return found
@@ -188,11 +197,21 @@ class TransitionFinder:
     def survey(self, start: tuple[Contact, ...], moves: Sequence[Move]) -> list[MoveFailure]:
         """Every end of every move that has no transition posture, before any motion is planned."""
         failures = []
+        self._find_supports(start, moves)
         contacts = start
         for i, move in enumerate(moves):
             contacts, found = self.contacts_after(contacts, move)
             failures += [replace(failure, index=i) for failure in found]
         return failures
+
+    def _find_supports(self, start: tuple[Contact, ...], moves: Sequence[Move]) -> None:
+        """Works out the supports all along some moves, if limbs take hold of patches at the middle."""
+        sets, contacts = [start], start
+        for move in moves:
+            support = tuple(c for c in contacts if c.limb != move.limb)
+            contacts = ordered((*support, Contact(move.limb, move.hold)))
+            sets += [support, contacts]
+        find_supports(self.body, sets)
 
     def manifold(self, contacts: Sequence[Contact]) -> Manifold | None:
         """The manifold of some contacts, None if these cannot hold the robot."""
