@@ -189,12 +189,22 @@ class MotionPlanner:
             other = self._together(candidates, phases, chosen, free_start)
             better = self._curves(candidates, phases, other, known) if other != chosen else curves
             curves = curves if isinstance(better, tuple) else better
-        # Should a phase have no timing on curves that were shortened together, it may on its own.
+        # Should a phase have no timing on curves that were shortened together, it may on its own. Together they are no
+        # longer than alone, but what is shorter need not be faster, nor have a greater margin.
+        best, least, failure = None, np.inf, None
         for legs in (self.phases.joined(phases, curves), tuple(curves)):
             motions = self.phases.all_timed(phases, legs, self.budget)
-            if isinstance(motions, list):
-                return Way.of(phases, legs, motions, free_start)
-            failure = motions
+            if not isinstance(motions, list):
+                failure = motions
+                continue
+            value = self.objective.value(self.body, motions)
+            if best is None or value < least:
+                best, least = Way.of(phases, legs, motions, free_start), value
+            if self.objective.kind == "length":
+                break
+        if best is not None:
+            return best
+        assert failure is not None
         return failure
 
     def _curves(
