@@ -41,6 +41,7 @@ MARGIN = Margin(force=0.002, torque=0.08)
 RESERVE = 0.5  # share of the accelerations that contacts and motors could make which a motion has
 INTERVALS = 15.0  # of the speed profile, per second at full joint rates
 FEWEST_AND_MOST = (12, 80)  # of these intervals
+NEXT_TO_ENDS = 0.4  # of the first step from place to place: the speed at an end counts for nothing at the end itself
 OVERSHOOT = (1.02, 1.06, 1.4)  # times the limits of speed, acceleration and jerk that samples may have
 SHORTEST = 0.1  # [s] that any leg takes
 
@@ -135,7 +136,10 @@ class FastLeg:
 
     def samples(self, duration: float, count: int) -> Samples:
         """The leg at `count` even instants, both ends included; `duration` [s] is that of the leg."""
-        time = np.linspace(0.0, duration, count)
+        return self.at(np.linspace(0.0, duration, count))
+
+    def at(self, time: Vector) -> Samples:
+        """The leg at instants [s], shape (K,)."""
         x, rate, acceleration = self.law.at(time)
         place, first, second = warp(x / self.law.profile.length)
         length, scale = self.path.length, self.law.profile.length
@@ -177,6 +181,8 @@ def fastest_leg(
     intervals = finer * int(np.clip(np.ceil(INTERVALS * length), *FEWEST_AND_MOST))
     profile = SpeedProfile(length, intervals)
     x = np.linspace(0.0, length, 2 * intervals + 1)
+    near = NEXT_TO_ENDS * x[1]
+    x = np.concatenate([x[:1], [near], x[1:-1], [length - near], x[-1:]])
     place, first, second = warp(x / length)
     along, bent = path.length * first / length, path.length * second / length**2
     q, v, vd = path.at(path.length * place, along, bent)

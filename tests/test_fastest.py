@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from robots import robot, standing
 from test_torque import STANDING, feet, variant
@@ -18,14 +18,14 @@ from test_torque import robot as _fixture  # noqa: F401
 from climber.curve import Curve
 from climber.dynamics import evaluate
 from climber.exceptions import ModelError
-from climber.fastest import HOLDING, RESERVE, SHORTEST, FastLeg, RateLimits, fastest_leg, instants_of
+from climber.fastest import HOLDING, MARGIN, RESERVE, SHORTEST, FastLeg, RateLimits, fastest_leg, instants_of
 from climber.manifold import Body, Chart
 from climber.phase_motion import MotionBudget, by_fixed_law, timed
 from climber.programs import torque_blocks
-from climber.programs.torque import phase_torques
+from climber.programs.torque import TorqueBatch, phase_torques
 from climber.robot import Robot
 from climber.stance import Contact, Vector
-from climber.timing import PacedPath
+from climber.timing import PacedPath, Samples
 from climber.verify_motion import drift
 from climber.wall import Hold, Wall
 
@@ -90,12 +90,19 @@ FRICTIONS = st.tuples(*[st.floats(0.1, 1.2)] * 4)
 LEANS = st.tuples(*[st.floats(-0.4, 0.4)] * 4)
 
 
+def made(leg: Leg, samples: Samples, faster: float = 1.0) -> TorqueBatch:
+    """Forces and torques, by another program, that make a motion or the same one so many times as fast."""
+    dynamics = evaluate(leg.body.robot, samples.q, faster * samples.v, [c.limb for c in leg.contacts])
+    return phase_torques(leg.body.robot, leg.body.wall, leg.contacts, dynamics, faster**2 * samples.vd, MARGIN)
+
+
 @settings(max_examples=25, deadline=None)
 @given(way=WAYS, friction=FRICTIONS, lean=LEANS, air=st.sampled_from([None, 2, 3]))
+@example((0.015625, 0.0, 0.0), (0.125, 0.125, 0.25, 1.0), (0.125, 0.03125, 0.25, 0.0), 3)  # fastest right at the start
 def test_a_leg_keeps_its_limits_with_a_reserve(
     way: tuple[float, float, float], friction: tuple[float, ...], lean: tuple[float, ...], air: int | None
 ) -> None:
-    """Accelerations a little less than the reserve allows are still within friction and torque, by another program."""
+    """It does where it was looked at, and nearly so in between, where its own accelerations are within limits."""
     leg = shifting(way, friction, air, lean)
     fast = leg.fastest()
     if not isinstance(fast, FastLeg):
@@ -103,12 +110,9 @@ def test_a_leg_keeps_its_limits_with_a_reserve(
     samples = fast.samples(fast.duration, 81)
     limits = RateLimits.of(leg.body.robot, PACE, JERK)
     assert limits.slowing(samples) < 1.1
-    holding = [c.limb for c in leg.contacts]
-    faster = 1 / np.sqrt(1.1 * RESERVE)  # the same motion, so much faster
-    dynamics = evaluate(leg.body.robot, samples.q, faster * samples.v, holding)
-    torques = phase_torques(leg.body.robot, leg.body.wall, leg.contacts, dynamics, faster**2 * samples.vd)
-    assert torques.ok.mean() > 0.95
-    assert torques.violation.max() < 0.1  # [N, N m] between the places that were looked at
+    assert made(leg, samples).ok.all()
+    assert made(leg, fast.at(fast.law.time(fast.x)), 1 / np.sqrt(RESERVE)).ok.all()
+    assert made(leg, samples, 1 / np.sqrt(1.1 * RESERVE)).violation.max() < 0.02  # [N, N m]
 
 
 @settings(max_examples=25, deadline=None)
@@ -326,4 +330,4 @@ def test_in_space_a_leg_keeps_to_round_cones_with_a_reserve(seed: int) -> None:
     assert np.abs(dynamics.residual(samples.vd, torques.torque, lambdas)).max() < 1e-6
     faster = 1 / np.sqrt(1.1 * RESERVE)
     dynamics = evaluate(body.robot, samples.q, faster * samples.v, range(4))
-    assert phase_torques(body.robot, body.wall, here.contacts, dynamics, faster**2 * samples.vd).ok.mean() > 0.95
+    assert phase_torques(body.robot, body.wall, here.contacts, dynamics, faster**2 * samples.vd, MARGIN).ok.all()
