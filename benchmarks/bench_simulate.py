@@ -88,7 +88,7 @@ def errors(plan: Plan, share: float) -> tuple[tuple[str, Perturbation], ...]:
     off = share * certified["mass"] * (-1.0 if lighter else 1.0)
     drop, push = share * certified["friction"], share * certified["push"]
     return (
-        (f"friction {1e2 * drop:.1f} % less", Perturbation(friction_scale=max(0.0, 1.0 - drop))),
+        (f"friction {1e2 * drop:.1f} % less", Perturbation(friction_scale=max(1e-3, 1.0 - drop))),
         (f"masses {1e2 * abs(off):.1f} % {'less' if off < 0.0 else 'more'}", Perturbation(mass_scale=1.0 + off)),
         (f"pushed with {push:.2f} N", Perturbation(push=push)),
     )
