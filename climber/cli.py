@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -278,6 +279,11 @@ def _draw(options: argparse.Namespace) -> int:
     return OK
 
 
+def _finite(limits: Iterable[float]) -> list[float | None]:
+    """Limits as JSON has them: null for none."""
+    return [float(limit) if math.isfinite(limit) else None for limit in limits]
+
+
 def _robot(options: argparse.Namespace) -> int:
     from climber.robot import Robot
 
@@ -295,10 +301,10 @@ def _robot(options: argparse.Namespace) -> int:
                     "foot": limb.foot,
                     "reach": limb.reach,
                     "joints": list(limb.joints),
-                    "lower": limb.lower.tolist(),
-                    "upper": limb.upper.tolist(),
-                    "velocity": limb.velocity.tolist(),
-                    "effort": limb.effort.tolist(),
+                    "lower": _finite(limb.lower),
+                    "upper": _finite(limb.upper),
+                    "velocity": _finite(limb.velocity),
+                    "effort": _finite(limb.effort),
                 }
                 for limb in robot.limbs
             ],

@@ -151,7 +151,7 @@ def _facts(run: Simulation) -> dict[str, Any]:
                 "pelvis_error": robot.pelvis_error,
                 "joint_error": robot.joint_error,
                 "torque": robot.torque,
-                "effort": robot.effort,
+                "effort": {name: limit if limit < float("inf") else None for name, limit in robot.effort.items()},
             }
             for robot in run.robots
         ],

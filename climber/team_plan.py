@@ -120,10 +120,12 @@ class TeamSearch:
 
     def timings(self) -> dict[str, float]:
         """Seconds spent in each stage by all robots together, and in all."""
-        result = dict(self._times)
+        result, finders = dict(self._times), set()
         for member in self.members:
             for name, seconds in member.timings().items():
-                result[name] = result.get(name, 0.0) + seconds
+                if name != "transitions" or member.finder not in finders:  # robots that are alike share one
+                    result[name] = result.get(name, 0.0) + seconds
+            finders.add(member.finder)
         return {**result, "total": clock.perf_counter() - self.began}
 
     def run(self) -> tuple[RobotPlan, ...]:

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from robots import robot
 
 from climber.cli import main
 from climber.scenario import load_scenario
@@ -111,6 +112,17 @@ def test_robot_shows_limbs_limits_and_symmetry(capsys: pytest.CaptureFixture[str
     assert [limb["name"] for limb in facts["limbs"]] == ["right_front", "left_front", "left_rear", "right_rear"]
     assert facts["mass"] == pytest.approx(2.0)
     assert len(facts["symmetries"]) == 2
+
+
+def test_limits_that_there_are_not_are_null_to_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = robot("quadruped").model.path.read_text()
+    model = tmp_path / "free.urdf"
+    model.write_text(text.replace('velocity="4.0"', ""))
+    model.with_suffix(".yaml").write_text(robot("quadruped").model.path.with_suffix(".yaml").read_text())
+    assert main(["robot", str(model), "--json"]) == 0
+    shown = capsys.readouterr().out
+    assert "Infinity" not in shown
+    assert all(limb["velocity"] == [None, None] for limb in json.loads(shown)["limbs"])
 
 
 def test_robot_shows_limbs_without_joints(capsys: pytest.CaptureFixture[str]) -> None:

@@ -133,3 +133,11 @@ def test_robots_alike_on_one_wall_learn_from_each_other() -> None:
     assert search.members[0].finder is search.members[1].finder
     separate = TeamSearch(two_walls(), 0, 60.0, lambda message: None)
     assert separate.members[0].finder is not separate.members[1].finder
+
+
+def test_what_robots_share_is_timed_once() -> None:
+    search = TeamSearch(load_scenario("team"), 0, 60.0, lambda message: None)
+    one, two = search.members
+    assert one.finder is two.finder
+    one.finder.seconds = 3.0
+    assert search.timings()["transitions"] == 3.0
