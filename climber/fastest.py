@@ -205,7 +205,7 @@ def fastest_leg(
         if moving.inside(forces).all():
             scaling = TimeScaling.steady(dynamics, profile, forces)
     if scaling is None:
-        scaling = TimeScalingProgram(dynamics, profile).solve()
+        scaling = TimeScalingProgram(dynamics, profile, forces=t).solve()
     if scaling is None:
         return None
     # Forces for a motion between rest and one faster than it are between those of both.

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from climber.fastest import HOLDING, MARGIN, RESERVE, SHORTEST, FastLeg, RateLim
 from climber.manifold import Body, Chart
 from climber.phase_motion import MotionBudget, by_fixed_law, timed
 from climber.programs import torque_blocks
+from climber.programs.time_scaling import TimeScalingProgram
 from climber.programs.torque import TorqueBatch, phase_torques
 from climber.robot import Robot
 from climber.stance import Contact, Vector
@@ -125,6 +127,31 @@ def test_half_the_friction_never_makes_a_leg_faster(
         assert isinstance(whole, FastLeg)
         # To the accuracy of the rounds that find a jerk-limited motion.
         assert half.duration >= whole.duration * (1 - 0.02)
+
+
+@settings(max_examples=15, deadline=None)
+@given(way=WAYS, friction=FRICTIONS, lean=LEANS, air=st.sampled_from([None, 2, 3]), strong=st.floats(0.3, 1.0))
+def test_forces_are_left_out_of_the_program_only_where_they_make_no_difference(
+    way: tuple[float, float, float],
+    friction: tuple[float, ...],
+    lean: tuple[float, ...],
+    air: int | None,
+    strong: float,
+) -> None:
+    leg = shifting(way, tuple(strong * mu for mu in friction), air, lean)
+    fast = leg.fastest()
+
+    def with_all_forces(*args: Any, forces: Vector, **kwargs: Any) -> TimeScalingProgram:
+        return TimeScalingProgram(*args, **kwargs)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("climber.fastest.TimeScalingProgram", with_all_forces)
+        whole = leg.fastest()
+    if not isinstance(fast, FastLeg) or not isinstance(whole, FastLeg):
+        assert type(fast) is type(whole)
+        return
+    # To the accuracy of the rounds that find a jerk-limited motion.
+    assert fast.duration == pytest.approx(whole.duration, rel=0.02)
 
 
 @cache

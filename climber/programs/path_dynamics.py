@@ -13,6 +13,7 @@ from climber.stance import Vector
 
 FASTEST = 100.0  # b is bounded by this: no motion is more than ten times as fast as the path's own pace
 SLOWEST = 1e-6  # and coefficients of b by this: nor a thousand times as slow
+BALANCED = 1e-6  # [N, N m] imbalance that is rounding
 LIKELY = 0.3  # share of the greatest jerk, against its limit, that makes another worth watching
 Mask = NDArray[np.bool_]
 
@@ -92,6 +93,34 @@ class PathDynamics:
         """The mean third derivative of q from each place to the next, shape (N - 1, l)."""
         result: Vector = np.diff(self.second, axis=0) / np.diff(self.x)[:, None]
         return result
+
+    @cached_property
+    def _lift(self) -> Vector:
+        """The pseudo-inverses of E, shape (N, n, u)."""
+        return np.asarray(np.linalg.pinv(self.E))
+
+    def lifted(self, t: Vector, b: Vector, a: Vector) -> Vector:
+        """The forces nearest to t, both of shape (N, n), that make the motion with b and a, (N,), if any do."""
+        needed = self.e[0] + self.e[1] * b[:, None] + self.e[2] * a[:, None]
+        gap = needed - np.einsum("kun,kn->ku", self.E, t)
+        result: Vector = t + np.einsum("knu,ku->kn", self._lift, gap)
+        return result
+
+    def torques(self, t: Vector, b: Vector, a: Vector) -> Vector:
+        """Torques of the motors with forces t [N m], shape (N, j)."""
+        torque = self.c[0] + self.c[1] * b[:, None] + self.c[2] * a[:, None] - np.einsum("kjn,kn->kj", self.A, t)
+        if self.damping is not None:
+            torque = torque + self.damping * np.sqrt(np.maximum(b, 0.0))[:, None]
+        return np.asarray(torque)
+
+    def made(self, t: Vector, b: Vector, a: Vector) -> Mask:
+        """Where forces t make the motion inside the limits of forces and torques, shape (N,)."""
+        needed = self.e[0] + self.e[1] * b[:, None] + self.e[2] * a[:, None]
+        good = np.abs(np.einsum("kun,kn->ku", self.E, t) - needed).max(axis=1, initial=0.0) <= BALANCED
+        good &= (t @ self.rows.T <= self.most).all(axis=1)
+        room = self.tops - np.einsum("san,kn->ksa", self.cones, t)
+        good &= (np.linalg.norm(room[:, :, 1:], axis=2) <= room[:, :, 0]).all(axis=1)
+        return np.asarray(good & (np.abs(self.torques(t, b, a)) <= self.torque).all(axis=1))
 
     def paced(self) -> float:
         """The greatest b, the same all along the path, that keeps to the limits of speed, acceleration and jerk."""

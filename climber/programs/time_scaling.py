@@ -19,6 +19,7 @@ from climber.stance import Vector
 
 ROUNDS = 6  # after the first, at the most
 GAIN = 0.02  # share of the duration: a round that gains less is the last one
+AROUND = 2  # places next to one without enough force that get forces in the program too
 ACTIVE = 1e-3  # share of a limit: less room than this, and a price on it of more than this, make it active
 
 
@@ -81,6 +82,10 @@ class TimeScalingProgram:
     Where the path can be stood on at every place, strictly within all limits, a timing exists: a slow enough one. So
     when there is none, a place at which the robot cannot even stand still is the reason (`climber.fastest.standing`).
 
+    Most motions are slow: limits of speed, acceleration and jerk bind, and forces could make them many times as fast.
+    Then forces that are known to hold the robot still, changed as little as balances its motion, make it. Where they
+    do, the program has no forces and none of (3) to (6); it is solved again with forces where they do not.
+
     Attributes:
         dynamics: The path.
         profile: The B-splines that b is taken from.
@@ -88,7 +93,13 @@ class TimeScalingProgram:
     """
 
     def __init__(
-        self, dynamics: PathDynamics, profile: SpeedProfile, nodes: Vector | None = None, *, rest: bool = False
+        self,
+        dynamics: PathDynamics,
+        profile: SpeedProfile,
+        nodes: Vector | None = None,
+        *,
+        rest: bool = False,
+        forces: Vector | None = None,
     ) -> None:
         """Builds the program, but for what depends on b'.
 
@@ -98,28 +109,37 @@ class TimeScalingProgram:
             nodes: The nodes y; by default the places of the dynamics.
             rest: Whether b must vanish at both ends. Along a path with q' = 0 at its ends it need not, see
                 `climber.fastest`.
+            forces: Multiples that hold the robot still at each place, shape (N, n), so that the program need not have
+                forces where it does not take others; by default it has them everywhere.
         """
         self.dynamics, self.profile = dynamics, profile
         self._nodes = dynamics.x if nodes is None else nodes
         self._local, self._at_nodes = profile.local(dynamics.x), profile.local(self._nodes)
         self._N, self._n = len(dynamics.x), dynamics.E.shape[2]
+        self._rest, self._standing = rest, forces
+        # Of the limits that may be left out those that are not, by motor or by coordinate.
+        motors, limited = dynamics.A.shape[1], dynamics.first.shape[1]
+        self._told = {"torque": np.zeros(motors, bool), "acceleration": np.zeros(limited, bool), "jerk": dynamics.jerky}
+        self._build(np.full(self._N, forces is None))
+
+    def _build(self, placed: Mask) -> None:
+        """The program with forces at some places, shape (N,), but for what depends on b'."""
+        self._places = np.flatnonzero(placed)
+        self._slot = np.cumsum(placed) - 1  # of each place among those
         steps = len(self._nodes) - 1
         # Variables: k, then T, r, t.
-        self._T = profile.size
+        self._T = self.profile.size
         self._r = self._T + steps
         self._t = self._r + steps + 1
-        self.num_variables = self._t + self._N * self._n
+        self.num_variables = self._t + len(self._places) * self._n
         self.constraints: dict[str, slice] = {}
         self._cost = np.zeros(self.num_variables)
         self._cost[self._T : self._r] = 1.0
         self._program = SparseProgram(self._cost)
         self._equal, self._below, self._round = Rows(), Rows(), Rows()
-        # Of the limits that may be left out those that are not, by motor or by coordinate.
-        motors, limited = dynamics.A.shape[1], dynamics.first.shape[1]
-        self._told = {"torque": np.zeros(motors, bool), "acceleration": np.zeros(limited, bool), "jerk": dynamics.jerky}
-        self._balance(rest)
+        self._balance()
         self._forces()
-        self._speeds(rest)
+        self._speeds()
         self._time()
 
     # -- what rows are made of
@@ -131,23 +151,23 @@ class TimeScalingProgram:
 
     def _of_force(self, i: Indices, values: Vector) -> Part:
         """The sums values . t_i, i of shape (M,), values of shape (M, n)."""
-        return self._t + self._n * i[:, None] + np.arange(self._n), values
+        return self._t + self._n * self._slot[i][:, None] + np.arange(self._n), values
 
     def _each(self, width: int) -> tuple[Indices, Indices]:
-        """Place and column of each entry of an array (N, width)."""
-        i, j = np.divmod(np.arange(self._N * width), max(width, 1))
-        return i, j
+        """Place and column of each entry of an array (N, width), at places with forces."""
+        i, j = np.divmod(np.arange(len(self._places) * width), max(width, 1))
+        return self._places[i], j
 
     @staticmethod
-    def _both(count: int, limited: Mask) -> tuple[Vector, Indices, Indices]:
-        """Sign, place and column of each of the limits either way of the limited columns at `count` places."""
+    def _both(places: Indices, limited: Mask) -> tuple[Vector, Indices, Indices]:
+        """Sign, place and column of each of the limits either way of the limited columns at some places."""
         columns = np.flatnonzero(limited)
-        sign, i, j = np.meshgrid(np.array([1.0, -1.0]), np.arange(count), columns, indexing="ij")
+        sign, i, j = np.meshgrid(np.array([1.0, -1.0]), places, columns, indexing="ij")
         return sign.ravel(), i.ravel(), j.ravel()
 
     # -- the constraints
 
-    def _balance(self, rest: bool) -> None:
+    def _balance(self) -> None:
         dynamics = self.dynamics
         i, u = self._each(dynamics.E.shape[1])
         self.constraints["balance"] = self._equal.add(
@@ -155,7 +175,7 @@ class TimeScalingProgram:
             self._of_force(i, dynamics.E[i, u]),
             self._of_speed(i, -dynamics.e[1][i, u], -dynamics.e[2][i, u]),
         )
-        if rest:
+        if self._rest:
             ends = np.array([[0], [self.profile.size - 1]])
             self.constraints["rest"] = self._equal.add(np.zeros(2), (ends, np.ones((2, 1))))
 
@@ -169,19 +189,19 @@ class TimeScalingProgram:
             dynamics.tops[i, s, axis], self._of_force(i, dynamics.cones[s, axis])
         )
 
-    def _speeds(self, rest: bool) -> None:
+    def _speeds(self) -> None:
         every = np.arange(self._N)
         most, _ = self.dynamics.fastest
         self.constraints["speed"] = self._below.add(most, self._of_speed(every, np.ones(self._N), np.zeros(self._N)))
         size = self.profile.size
         self.constraints["positive"] = self._below.add(
-            np.full(size, 0.0 if rest else -SLOWEST), (np.arange(size)[:, None], -np.ones((size, 1)))
+            np.full(size, 0.0 if self._rest else -SLOWEST), (np.arange(size)[:, None], -np.ones((size, 1)))
         )
 
     def _accelerations(self) -> Rows:
         """(8)."""
         dynamics, rows = self.dynamics, Rows()
-        sign, i, j = self._both(self._N, self._told["acceleration"])
+        sign, i, j = self._both(np.arange(self._N), self._told["acceleration"])
         rows.add(dynamics.acceleration[j], self._of_speed(i, sign * dynamics.second[i, j], sign * dynamics.first[i, j]))
         return rows
 
@@ -205,7 +225,7 @@ class TimeScalingProgram:
     def _torques(self, reference: Vector) -> Rows:
         """(4), its damping taken at the reference b' (N,)."""
         dynamics, rows = self.dynamics, Rows()
-        sign, i, j = self._both(self._N, self._told["torque"])
+        sign, i, j = self._both(self._places, self._told["torque"])
         of_b, right = sign * dynamics.c[1][i, j], dynamics.torque[i, j] - sign * dynamics.c[0][i, j]
         if dynamics.damping is not None:  # sqrt(b) <= (sqrt(b') + b / sqrt(b')) / 2
             against, speed = np.maximum(sign * dynamics.damping[i, j], 0.0), np.sqrt(reference[i])
@@ -220,7 +240,7 @@ class TimeScalingProgram:
     def _jerks(self, reference: Vector) -> Rows:
         """(9), its right side the tangent at the reference b' (N,)."""
         dynamics, rows = self.dynamics, Rows()
-        sign, i, j = self._both(self._N - 1, self._told["jerk"])
+        sign, i, j = self._both(np.arange(self._N - 1), self._told["jerk"])
         mean = 0.5 * (reference[i] + reference[i + 1])
         most = dynamics.jerk[j] * np.diff(dynamics.x)[i] / np.sqrt(mean)
         half = 0.25 * most / mean  # for either b: the tangent is most (1.5 - 0.5 b / mean)
@@ -261,25 +281,30 @@ class TimeScalingProgram:
         """The fastest timing for a reference b', shape (N,), positive; None if Clarabel finds none.
 
         Limits of torque, acceleration and jerk are left out, motor by motor and coordinate by coordinate, until a
-        solution breaks them: one that keeps them without being told to is as good.
+        solution breaks them: one that keeps them without being told to is as good. So are forces, place by place.
         """
+        placed = np.isin(np.arange(self._N), self._places)
         while True:
             solution = self._solved(reference)
-            if solution is None:
+            if solution is None and placed.all():
                 return None
-            broken = {name: over & ~self._told[name] for name, over in self._broken(solution).items()}
-            if not any(over.any() for over in broken.values()):
-                return solution
-            self._told = {name: told | broken[name] for name, told in self._told.items()}
-            self._program = SparseProgram(self._cost)
+            lacking = ~placed
+            if solution is not None:
+                broken = {name: over & ~self._told[name] for name, over in self._broken(solution).items()}
+                lacking &= ~self.dynamics.made(solution.t, solution.b, solution.a)
+                if not lacking.any() and not any(over.any() for over in broken.values()):
+                    return solution
+                self._told = {name: told | broken[name] for name, told in self._told.items()}
+            if lacking.any():  # what is next to them will lack forces soon
+                placed |= np.convolve(lacking, np.ones(2 * AROUND + 1), mode="same") > 0.5
+                self._build(placed)
+            else:
+                self._program = SparseProgram(self._cost)
 
     def _broken(self, scaling: TimeScaling) -> dict[str, Mask]:
         """The motors or coordinates whose limits a timing breaks, by kind of limit."""
         dynamics, b, a = self.dynamics, scaling.b[:, None], scaling.a[:, None]
-        torque = dynamics.c[0] + dynamics.c[1] * b + dynamics.c[2] * a
-        torque -= np.einsum("kjn,kn->kj", dynamics.A, scaling.t)
-        if dynamics.damping is not None:
-            torque += dynamics.damping * np.sqrt(np.maximum(b, 0.0))
+        torque = dynamics.torques(scaling.t, scaling.b, scaling.a)
         acceleration = dynamics.second * b + dynamics.first * a
         steps = np.diff(dynamics.x) / np.sqrt(np.maximum(0.5 * (scaling.b[:-1] + scaling.b[1:]), SLOWEST))
         uses = {
@@ -303,24 +328,26 @@ class TimeScalingProgram:
         active: list[set[str]] = [set() for _ in range(N)]
         dear = ACTIVE * duration / N
 
-        def note(names: Sequence[str], price: Vector) -> None:
+        def note(places: Indices, names: Sequence[str], price: Vector) -> None:
             """Prices of limits `names` at one place after the other."""
             for i, j in np.argwhere(price.reshape(-1, max(len(names), 1)) > dear):
-                active[i].add(names[j])
+                active[places[i]].add(names[j])
 
         forces, motors, coordinates = dynamics.names
         below, by_acceleration, by_torque, by_jerk, cones = prices
-        note(forces[: len(dynamics.rows)], below[self.constraints["force"]])
-        note(forces[len(dynamics.rows) :], cones[self.constraints["cone"]][::3])
+        every = np.arange(N)
+        note(self._places, forces[: len(dynamics.rows)], below[self.constraints["force"]])
+        note(self._places, forces[len(dynamics.rows) :], cones[self.constraints["cone"]][::3])
         for i in np.flatnonzero(below[self.constraints["speed"]] > dear):
             active[i].add(dynamics.fastest[1][i])
-        for kind, names, price in (
-            ("torque", motors, by_torque),
-            ("acceleration", coordinates, by_acceleration),
-            ("jerk", coordinates, by_jerk),
+        for kind, places, names, price in (
+            ("torque", self._places, motors, by_torque),
+            ("acceleration", every, coordinates, by_acceleration),
+            ("jerk", every, coordinates, by_jerk),
         ):
             limited = [f"{kind} {name}" for name, told in zip(names, self._told[kind], strict=True) if told]
             either = price[: 2 * (len(price) // 2)].reshape(2, -1)
-            note(limited, either.max(axis=0, initial=0.0))
-        t = x[self._t :].reshape(N, self._n)
+            note(places, limited, either.max(axis=0, initial=0.0))
+        t = np.zeros((N, self._n)) if self._standing is None else dynamics.lifted(self._standing, b, a)
+        t[self._places] = x[self._t :].reshape(len(self._places), self._n)
         return TimeScaling(coefficients, duration, b, a, t, tuple(frozenset(names) for names in active))
