@@ -173,7 +173,7 @@ class Loop:
     def _toward(self, watch: Watch) -> float:
         """How a limb that ended its swing off its hold has to go on: 1 towards it, -1 out of it, less when near."""
         gap = self._gap(watch)
-        return float(np.clip(gap / NEAR, -1.0, 1.0)) if abs(gap) > TOUCH else 0.0
+        return min(max(gap / NEAR, -1.0), 1.0) if abs(gap) > TOUCH else 0.0
 
     def _gap(self, watch: Watch) -> float:
         """How far the foot of the limb that is to take hold is from the hold, along the normal [m]."""
@@ -192,7 +192,7 @@ class Loop:
         step = self.world.time_step
         lost = any(watch.controller.landing and abs(self._gap(watch)) > NEAR for watch in self.watches)
         pace = 0.0 if lost or self.elapsed < self._growing else min(watch.controller.pace for watch in self.watches)
-        change = float(np.clip(pace - self._rate, -step / CATCH_UP, step / CATCH_UP))
+        change = min(max(pace - self._rate, -step / CATCH_UP), step / CATCH_UP)
         rate = min(max(self._rate + change, 0.0), 1.0)
         limit = min([self._end, *(watch.controller.end + LATE for watch in self.watches if not watch.controller.done)])
         after = min(self.clock + rate * step, limit)

@@ -32,14 +32,13 @@ class Footing:
 
     def __init__(self, wall: Wall, number: int) -> None:
         """A foot that is about to take hold of hold `number`."""
-        self._hold, self._normal, self._center = wall.holds[number], wall.normals[number], wall.positions[number]
-        x, y, z = self._normal
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        self._across = np.eye(3) - np.outer(self._normal, self._normal)
-        self._roll = FOOT_RADIUS * cross  # times the angular velocity: how fast the contact point moves by turning
+        self._hold, self._center = wall.holds[number], wall.positions[number]
+        self._axes = np.array([wall.tangents[number], wall.binormals[number], wall.normals[number]])
+        # Times the angular velocity: how fast the contact point moves by turning, along the tangent and the binormal.
+        self._roll = FOOT_RADIUS * np.array([-wall.binormals[number], wall.tangents[number]])
         self.slip, self.lost = 0.0, False
-        self._taken: Vector | None = None  # where the foot took hold
-        self._rolled = np.zeros(3)  # by how much the contact point has moved since by turning
+        self._taken: tuple[float, float, float] | None = None  # where the foot took hold, in the hold's axes
+        self._rolled = (0.0, 0.0)  # by how much the contact point has moved since by turning
 
     def look(self, place: Vector, turning: Vector, step: float) -> None:
         """Looks at the foot after a step of `step` [s].
@@ -49,21 +48,21 @@ class Footing:
             turning: Its angular velocity [rad/s], shape (3,).
             step: How long it has turned so [s].
         """
-        away = place - self._center
-        gap = float(self._normal @ away)
+        s, t, gap = (self._axes @ (place - self._center)).tolist()
         if self._hold.grip == "pin":
-            self._taken = place if self._taken is None else self._taken
-            self.slip = float(np.linalg.norm(place - self._taken))
+            self._taken = self._taken or (s, t, gap)
+            self.slip = math.dist((s, t, gap), self._taken)
             self.lost = self.slip > OFF
             return
-        reach = self._hold.half_width + BEYOND
-        self.lost = gap > OFF or math.hypot(*(self._across @ (away + self._rolled))) > reach
+        rolled_s, rolled_t = self._rolled
+        self.lost = gap > OFF or math.hypot(s + rolled_s, t + rolled_t) > self._hold.half_width + BEYOND
         if self._taken is None:
             if gap <= 0.0:
-                self._taken = place
+                self._taken = (s, t, gap)
             return
-        self._rolled += step * (self._roll @ turning)
-        self.slip = math.hypot(*(self._across @ (place - self._taken + self._rolled)))
+        going_s, going_t = (self._roll @ turning).tolist()
+        self._rolled = rolled_s, rolled_t = rolled_s + step * going_s, rolled_t + step * going_t
+        self.slip = math.hypot(s - self._taken[0] + rolled_s, t - self._taken[1] + rolled_t)
 
 
 class Watch:
@@ -90,7 +89,7 @@ class Watch:
         """Looks at the robot after a step."""
         controller = self.controller
         np.maximum(self._torque, np.abs(command.torque), out=self._torque)
-        astray = float(np.linalg.norm(controller.error[controller.robot.origin_q]))
+        astray = math.hypot(*controller.error[controller.robot.origin_q].tolist())
         self.pelvis_error = max(self.pelvis_error, astray)
         free = controller.error[controller.free_joints]
         self.joint_error = max(self.joint_error, float(np.abs(free).max(initial=0.0)))
@@ -105,7 +104,7 @@ class Watch:
         if footing is None:
             footing = self._footings[limb] = Footing(world.wall, number)
         footing.look(*world.foot(self.number, limb), world.time_step)
-        name = self.controller.robot.limb_names[limb]
+        name = self.controller.robot.limbs[limb].name
         if footing.lost:
             self.fell = self.fell or f"{name} has left hold {number} at {now:.2f} s"
         if footing.slip > self.slip:
