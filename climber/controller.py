@@ -21,6 +21,7 @@ A trajectory generator (Bretl 2006) runs the plan's clock: it slows as the track
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,6 +93,7 @@ class _Stance:
         arriving: The limb that takes hold when the phase ends, and its hold.
         free: Places in the velocities of the pelvis and of the joints of limbs that do not hold.
         alone: Velocities at which one of these is one and the others are zero, shape (nv, free).
+        few: The identity, for the m rows of Jacobians of the feet that hold, shape (m, m).
         sampler: Has the Jacobian of the feet that hold.
         control: Chooses the forces of (4).
         gripping: The limbs whose pin takes a moment.
@@ -102,6 +104,7 @@ class _Stance:
     arriving: tuple[int, int] | None
     free: Indices
     alone: Vector
+    few: Vector
     sampler: Sampler
     control: ForceControl
     gripping: list[int]
@@ -137,10 +140,10 @@ class Controller:
         self._axes, self._feet = robot.dimension, Sampler(robot, range(len(robot.limbs)))
         self._turning = turning(robot, range(len(robot.limbs)))
         nv = len(robot.velocity_names)
-        motors = robot.effort > 0.0
-        self._driven, self._limits = robot.joint_v[motors], robot.effort[motors]
-        self._motors = np.flatnonzero(motors)
-        self._loose = np.setdiff1d(np.arange(nv), self._driven)
+        motors = np.flatnonzero(robot.effort > 0.0)
+        driven, self._limits = robot.joint_v[motors], robot.effort[motors]
+        self._motors, self._driven = _places(motors), _places(driven)
+        self._loose = _places(np.setdiff1d(np.arange(nv), driven))
         self._limbs = ~np.isin(np.arange(nv), robot.base_v)
         self._giving = np.where(self._limbs, 1.0, GIVING)
         omega = np.full(nv, self.gains.joint)
@@ -169,6 +172,7 @@ class Controller:
             arriving=arriving[0] if arriving else None,
             free=free,
             alone=np.eye(len(robot.velocity_names))[:, free],
+            few=np.eye(self._axes * len(touches)),
             sampler=Sampler(robot, list(touches)),
             control=ForceControl(self.wall, [hold for hold, _ in touches.values()], self._axes, len(gripping)),
             gripping=gripping,
@@ -267,18 +271,19 @@ class Controller:
         sampler.J(J)
         sampler.Jdot_v(Jdot_v)
         # (1)
-        self.error = robot.v_of(q, desired.q - q)
+        self.error = plant.MapQDotToVelocity(context, desired.q - q)
         if toward:
             self._approach(toward, q)
         else:
             self._aside *= 1.0 - self.time_step / gains.settle
         # Errors that the feet's places do not permit to undo are none.
         following, error = self._following(J), self.error - self._aside
-        error = error - following @ (J @ error)
+        followed = following @ J
+        error -= followed @ error
         wanted = rate**2 * desired.vd + quicker * desired.v + self._kp * error + self._kd * (rate * desired.v - v)
         # (2)
-        vd = wanted - following @ (J @ wanted + gains.foot * (J @ v) + Jdot_v)
-        motions = stance.alone - following @ J[:, stance.free]
+        vd = wanted - followed @ wanted - following @ (gains.foot * (J @ v) + Jdot_v)
+        motions = stance.alone - followed[:, stance.free]
         # (3)
         M = plant.CalcMassMatrix(context)
         moved = M @ motions
@@ -288,16 +293,16 @@ class Controller:
         disturbance.observe(v[stance.free], stance.free, motions.T @ moved)
         disturbance.weigh(self.weight, self._at_center, stance.free, motions)
         more, rest = disturbance.parts(self.weight, stance.free, motions)
-        load = M @ vd + sampler.h() - more - rest
+        load = sampler.load(vd) - more - rest
         # (4)
         base = slice(len(robot.base_v))
         gives = _inverse(moved[self._loose, base])
-        push = float(np.linalg.norm(rest[robot.origin_q]))
+        push = math.hypot(*rest[robot.origin_q].tolist())
         demand = self._demand(desired, J, load, moved[self._driven, base] @ gives, push)
         forces = stance.control.forces(demand)
         # (5)
         torque = np.zeros(len(robot.joint_v))
-        torque[self._motors] = np.clip(demand.c - demand.A @ forces, -self._limits, self._limits)
+        torque[self._motors] = (demand.c - demand.A @ forces).clip(-self._limits, self._limits)
         vd = vd + motions[:, base] @ (gives @ (demand.E @ forces - demand.load))
         disturbance.expect((v + self.time_step * vd)[stance.free])
         return self._act(torque, forces)
@@ -313,11 +318,14 @@ class Controller:
                 shape (motors, u).
             push: Of the disturbances [N].
         """
-        holding, gripping = self._stance.holding, self._stance.gripping
-        J = np.concatenate([J, self._turning[gripping]])
+        stance = self._stance
+        wished = desired.force[stance.holding, : self._axes].ravel()
+        if stance.gripping:
+            J = np.concatenate([J, self._turning[stance.gripping]])
+            wished = np.concatenate([wished, desired.moment[stance.gripping]])
         E = J[:, self._loose].T
         return Demand(
-            wished=np.concatenate([desired.force[holding, : self._axes].ravel(), desired.moment[gripping]]),
+            wished=wished,
             E=E,
             load=load[self._loose],
             A=J[:, self._driven].T - gives @ E,
@@ -339,7 +347,7 @@ class Controller:
         """How the pelvis moves where the centre of mass is, by velocities, shape (axes, nv)."""
         plant, pelvis = self.robot.plant, self.robot.pelvis
         world = plant.world_frame()
-        center = pelvis.EvalPoseInWorld(context).inverse().multiply(self.robot.center_of_mass(context))
+        center = plant.CalcPointsPositions(context, world, self.robot.center_of_mass(context), pelvis.body_frame())
         J = plant.CalcJacobianTranslationalVelocity(
             context, JacobianWrtVariable.kV, pelvis.body_frame(), center, world, world
         )
@@ -354,10 +362,9 @@ class Controller:
         L^T (L L^T + D^2)^-1, and for the share D^2 (L L^T + D^2)^-1 of the feet's motion that this leaves undone
         W J^T (J W J^T)^-1.
         """
-        limbs, eased = J * self._limbs, J * self._giving
-        few, least = np.eye(len(J)), DAMPING**2
+        limbs, eased, few = J * self._limbs, J * self._giving, self._stance.few
         pelvis = solved(eased @ J.T + 1e-12 * few, eased)
-        return solved(limbs @ limbs.T + least * few, limbs + least * pelvis).T
+        return solved(limbs @ limbs.T + DAMPING**2 * few, limbs + DAMPING**2 * pelvis).T
 
     def _approach(self, toward: float, q: Vector) -> None:
         """Moves the place that the arriving limb's foot is led to, by what it goes in a time step."""
@@ -382,9 +389,16 @@ class Controller:
         applied = np.zeros(len(robot.velocity_names))
         applied[robot.joint_v] = torque
         if stance.gripping:
-            moment[stance.gripping] = np.clip(forces[held:], -stance.most, stance.most)
+            moment[stance.gripping] = forces[held:].clip(-stance.most, stance.most)
             applied += moment @ self._turning
         return Command(torque, moment, force, applied)
+
+
+def _places(indices: Indices) -> Indices | slice:
+    """The same places as a slice, which is quicker, if they follow one another."""
+    if not len(indices) or (np.diff(indices) != 1).any():
+        return indices
+    return slice(int(indices[0]), int(indices[-1]) + 1)
 
 
 def _inverse(A: Vector) -> Vector:

@@ -79,8 +79,12 @@ class Sampler:
 
     def h(self) -> Vector:
         """The bias at the context's state, shape (nv,). The force elements are gravity, springs and dampers."""
+        return self.load(self._rest)
+
+    def load(self, vd: Vector) -> Vector:
+        """M vd + h, shape (nv,), for accelerations of that shape."""
         self.plant.CalcForceElementsContribution(self.context, self._forces)
-        return np.asarray(self.plant.CalcInverseDynamics(self.context, self._rest, self._forces))
+        return np.asarray(self.plant.CalcInverseDynamics(self.context, vd, self._forces))
 
     def J(self, out: Vector) -> None:
         """Fills the contact Jacobian, shape (num_rows, nv)."""

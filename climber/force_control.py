@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from climber.definite import Factored, solved
+from climber.definite import solved
 from climber.stance import Vector
 from climber.wall import Wall
 
@@ -22,7 +23,7 @@ SPARED, BALANCE, LIMIT = 1e4, 1e7, 1e10
 LEVELS = (1.0, 0.5, 0.2)  # of the friction to be spared: beyond each it costs `DEARER` more, so that all feet share
 DEARER = 10.0
 INSIDE = 1e-4  # [N, N m] a limit that is exceeded by less is kept
-STEPS = 12  # of Newton's method at the most
+STEPS = 30  # of Newton's method at the most
 FEW = 6  # steps from the solution of the moment before; two or three are taken
 GENTLER = (1e2, 1e4, 1e6, 1e8)  # greatest weights of programs on the way to a solution from afar
 SETTLED = 1e-4  # [N, N m] a step that is shorter ends it
@@ -110,6 +111,7 @@ class ForceControl:
         turned = [hold for hold in grips if hold.max_moment > 0.0]
         ease[axes * len(holds) :] = [(hold.max_moment / hold.max_force) ** 2 for hold in turned]
         self._ease = ease
+        self._across, self._along = self._places[:, :-1], self._places[:, -1]
         self._normals = np.eye(size)[self._places[:, -1]]
         self._moment = np.array([hold.max_moment for hold in turned])
         self._gripping = np.eye(size)[axes * len(holds) :]
@@ -163,20 +165,25 @@ class _Program:
         self._control = control
         back = control._turn.T
         self._wished, self._E, self._b = control._turn @ demand.wished, demand.E @ back, demand.load
-        self._A = np.concatenate([demand.A @ back, control._gripping])
-        self._c = np.concatenate([demand.c, np.zeros(len(control._moment))])
-        self._most = np.concatenate([demand.most, control._moment])
+        self._A, self._c, self._most = demand.A @ back, demand.c, demand.most
+        if len(control._moment):
+            self._A = np.concatenate([self._A, control._gripping])
+            self._c, self._most = np.append(self._c, 0.0 * control._moment), np.append(self._most, control._moment)
         self._press = max(demand.press, LEAST)
         self._shares = control._friction - demand.drop * control._spared  # (levels, feet)
-        self._weights = np.concatenate([control._costs, np.full(len(self._most), LIMIT)])
         self._ease = control._ease * self._readiness() ** 2
+
+    @cached_property
+    def _weights(self) -> Vector:
+        """What it costs to be beyond each limit, shape (c,)."""
+        return np.concatenate([self._control._costs, np.full(len(self._most), LIMIT)])
 
     def _readiness(self) -> Vector:
         """How readily each force changes, shape (m,): a foot that hardly presses has no friction to spare."""
-        places, ready = self._control._places, np.ones(len(self._wished))
-        pushes = self._wished[places[:, -1]] + self._control._pull
+        control, ready = self._control, np.ones(len(self._wished))
+        pushes = self._wished[control._along] + control._pull
         mean = max(float(pushes.sum()) / max(len(pushes), 1), LEAST)
-        ready[places] = (pushes / mean).clip(LIGHT, 1.0)[:, None]
+        ready[control._places] = np.minimum(np.maximum(pushes / mean, LIGHT), 1.0)[:, None]
         return ready
 
     def balanced(self) -> Vector:
@@ -188,14 +195,13 @@ class _Program:
         return result
 
     def _limits(self, x: Vector) -> tuple[Vector, Vector, Vector, Vector]:
-        """The `excess`, `turning`, `along` and `slide` of a point."""
-        feet = x[self._control._places]
-        across, push = feet[:, :-1], feet[:, -1] + self._control._pull
-        slide = np.sqrt((across**2).sum(axis=1) + TINY**2)
+        """The `excess`, the `torque`, the forces `across` normals, shape (k, axes - 1), and their lengths, `slide`."""
+        across, push = x[self._control._across], x[self._control._along] + self._control._pull
+        slide = np.sqrt((across * across).sum(axis=1) + TINY**2)
         torque = self._c - self._A @ x
         cones = slide - self._shares * push
         excess = np.concatenate([cones.ravel(), self._press - push, LEAST - push, np.abs(torque) - self._most])
-        return excess, np.sign(torque), across / slide[:, None], slide
+        return excess, torque, across, slide
 
     def exceeds(self, x: Vector) -> bool:
         """Whether forces use more friction than they should, or a foot or motor does what it cannot."""
@@ -203,17 +209,18 @@ class _Program:
 
     def point(self, x: Vector) -> _Point:
         """What there is to say of forces."""
-        limits = self._limits(x)
-        off, lacking, beyond = x - self._wished, self._E @ x - self._b, np.maximum(limits[0], 0.0)
+        excess, torque, across, slide = self._limits(x)
+        off, lacking, beyond = x - self._wished, self._E @ x - self._b, np.maximum(excess, 0.0)
         eased, pulls = off / self._ease, self._weights * beyond
         cost = float(eased @ off + BALANCE * lacking @ lacking + pulls @ beyond)
-        return _Point(x, *limits, pulls, eased + BALANCE * lacking @ self._E, cost)
+        smooth = eased + BALANCE * lacking @ self._E
+        return _Point(x, excess, np.sign(torque), across / slide[:, None], slide, pulls, smooth, cost)
 
     def _slopes(self, point: _Point) -> Vector:
         """How limits change with the forces, shape (c, m)."""
-        places, normals = self._control._places, self._control._normals
+        across, normals = self._control._across, self._control._normals
         cones = -self._shares[:, :, None] * normals
-        cones[:, np.arange(len(places))[:, None], places[:, :-1]] = point.along
+        cones[:, np.arange(len(across))[:, None], across] = point.along
         torques = -point.turning[:, None] * self._A
         return np.concatenate([cones.reshape(-1, len(point.x)), -normals, -normals, torques])
 
@@ -225,7 +232,7 @@ class _Program:
         result += (slopes.T * self._weights[tight]) @ slopes
         bent = point.pulls[: self._shares.size].reshape(self._shares.shape).sum(axis=0) / point.slide
         turn = np.eye(along.shape[1]) - along[:, :, None] * along[:, None, :]
-        across = self._control._places[:, :-1]
+        across = self._control._across
         result[across[:, :, None], across[:, None, :]] += bent[:, None, None] * turn
         return result
 
@@ -244,26 +251,23 @@ class _Program:
 
     def _descend(self, x: Vector, steps: int) -> tuple[Vector, bool]:
         """Newton's method from x with so many steps at the most; and whether that is the end."""
-        point, hessian = self.point(x), None
+        point, kept = self.point(x), False
         for _ in range(steps):
             self._control.steps += 1
             slopes = self._slopes(point)
-            gradient = point.smooth + point.pulls @ slopes
-            if hessian and np.abs(step := hessian.solved(gradient)).max() < SETTLED:
-                return point.x - step, True
-            hessian = Factored(self._curvature(point, slopes))
-            step = -hessian.solved(gradient)
+            step = -solved(self._curvature(point, slopes), point.smooth + point.pulls @ slopes)
+            # A step may be short because of a limit that it is about to leave, but not after one that left none.
+            short = np.abs(step).max() < SETTLED
+            if short and kept:
+                return point.x + step, True
             share, before = self._best_share(point, slopes @ step, step), point
             while True:
                 point = self.point(before.x + share * step)
                 if share < SHORTEST or point.cost <= before.cost + ROUNDING * abs(before.cost):
                     break
                 share *= 0.5
-            # A step may be short because of a limit that it is about to leave. After one that leaves none and meets
-            # none, Newton's next is told nearly as well by the same Hessian, and if it is short it is the last.
-            if ((before.excess > 0.0) != (point.excess > 0.0)).any():
-                hessian = None
-            elif np.abs(step).max() < SETTLED:
+            kept = bool(((before.excess > 0.0) == (point.excess > 0.0)).all())
+            if short and kept:
                 return point.x, True
         return point.x, False
 

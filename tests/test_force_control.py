@@ -89,6 +89,8 @@ def excess(wall: Wall, axes: int, demand: Demand, forces: np.ndarray, share: flo
 )
 @example(seed=0, axes=3, count=4, drop=0.6, grip="friction")  # half a newton more friction than should be used
 @example(seed=760224, axes=3, count=3, drop=0.6, grip="friction")  # likewise
+@example(seed=999999, axes=3, count=4, drop=0.0, grip="friction")  # many steps on the way
+@example(seed=489, axes=3, count=3, drop=0.0, grip="magnet")  # short steps on the way
 @settings(max_examples=40, deadline=None)
 def test_forces_are_the_nearest_within_friction_and_torques(seed, axes, count, drop, grip):
     rng = np.random.default_rng(seed)
