@@ -11,26 +11,27 @@ from climber.stance import Vector
 from climber.wall import Wall
 
 SLIP_LIMIT = 0.001  # [m]
+GREATEST = 1000.0  # [m, N, share] of perturbations: Drake aborts where numbers overflow
 
 
 def check_scale(name: str, value: float) -> None:
     """Refuses a factor that is none.
 
     Raises:
-        ClimberError: If it is not finite, or not greater than 0.
+        ClimberError: If it is not greater than 0, or so great that nothing could be reckoned with it.
     """
-    if not 0.0 < value < float("inf"):
-        raise ClimberError(f"{name}: given {value:g}; allowed: a number greater than 0")
+    if not 0.0 < value <= GREATEST:
+        raise ClimberError(f"{name}: given {value:g}; allowed: a number greater than 0, at most {GREATEST:g}")
 
 
 def check_size(name: str, value: float) -> None:
     """Refuses a size that is none.
 
     Raises:
-        ClimberError: If it is not finite, or less than 0.
+        ClimberError: If it is less than 0, or so great that nothing could be reckoned with it.
     """
-    if not 0.0 <= value < float("inf"):
-        raise ClimberError(f"{name}: given {value:g}; allowed: a number, 0 or greater")
+    if not 0.0 <= value <= GREATEST:
+        raise ClimberError(f"{name}: given {value:g}; allowed: a number from 0 to {GREATEST:g}")
 
 
 def check_count(name: str, value: int, least: int) -> None:

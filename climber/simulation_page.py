@@ -30,6 +30,11 @@ def _recorded(plan: RobotPlan, run: RobotRun) -> RobotPlan:
         rows = np.flatnonzero(track.phase == number)
         if len(rows) >= 2:
             phases.append(_phase(phase, run, rows))
+    if not phases:  # it fell at once, or could not even begin: it stands as it was to begin
+        first = plan.phases[0]
+        begin = {name: getattr(first, name)[:2] for name in ("time", "q", "v", "vd", "torque")}
+        force = {limb: rows[:2] for limb, rows in first.force.items()}
+        return replace(plan, phases=(replace(first, **begin, force=force, moment={}),))
     return replace(
         plan, positions=run.positions, velocities=run.velocities, joints=tuple(run.torque), phases=tuple(phases)
     )

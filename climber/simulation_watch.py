@@ -113,7 +113,11 @@ class Watch:
     def result(self) -> RobotRun:
         """What came of it."""
         robot = self.controller.robot
-        columns = [np.array(column) for column in zip(*self._rows, strict=True)]
+        limbs = len(robot.limb_names)
+        sizes = (), (), (len(robot.position_names),), (len(robot.velocity_names),), self._torque.shape, (limbs, 3)
+        columns = [  # a robot that cannot even begin has no rows
+            np.array([row[i] for row in self._rows]).reshape(len(self._rows), *size) for i, size in enumerate(sizes)
+        ]
         return RobotRun(
             name=self.controller.reference.plan.name,
             limbs=robot.limb_names,

@@ -338,6 +338,7 @@ def test_options_out_of_range_are_refused(file, option, value, capsys):
     ("name", "value"),
     [
         ("friction_scale", math.nan),
+        ("friction_scale", 1e300),
         ("mass_scale", 0.0),
         ("hold_error", -0.001),
         ("start_error", math.inf),
@@ -348,6 +349,16 @@ def test_options_out_of_range_are_refused(file, option, value, capsys):
 def test_a_world_that_cannot_be_is_refused_before_drake_is_asked_for_it(name, value):
     with pytest.raises(ClimberError, match=f"{name}: given .*; allowed: "):
         Perturbation(**{name: value})
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_robot_that_cannot_even_begin_fell_and_is_shown_where_it_was_to(seed, file, tmp_path, capsys):
+    """With one seed a foot leaves its hold in the first millisecond, with the other feet do not reach their holds."""
+    out = tmp_path / "out"
+    assert main(["simulate", str(file), "--hold-error", "0.2", f"--seed={seed}", "--out", str(out)]) == 1
+    told = capsys.readouterr().out
+    assert "fell: " in told and "0.00 s for a plan of" in told
+    assert "fell: " in (out / "simulation.html").read_text()
 
 
 def test_a_plan_that_does_not_go_with_its_wall_is_refused(tmp_path, capsys):
