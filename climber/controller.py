@@ -31,7 +31,8 @@ from pydrake.systems.framework import Context
 from climber.definite import solved
 from climber.disturbance import Disturbance
 from climber.dynamics import Sampler, turning
-from climber.force_control import Demand, ForceControl
+from climber.force_control import Demand
+from climber.phase_stance import PhaseStance
 from climber.reference import Desired, Reference
 from climber.robot import Indices
 from climber.stance import Vector
@@ -84,38 +85,6 @@ class Command:
     applied: Vector
 
 
-@dataclass(frozen=True)
-class _Stance:
-    """What is fixed during a phase.
-
-    Attributes:
-        touches: By limb that holds: its hold, and where the plan has the foot in W [m].
-        arriving: The limb that takes hold when the phase ends, and its hold.
-        free: Places in the velocities of the pelvis and of the joints of limbs that do not hold.
-        alone: Velocities at which one of these is one and the others are zero, shape (nv, free).
-        few: The identity, for the m rows of Jacobians of the feet that hold, shape (m, m).
-        sampler: Has the Jacobian of the feet that hold.
-        control: Chooses the forces of (4).
-        gripping: The limbs whose pin takes a moment.
-        most: That moment [N m], shape (gripping,).
-    """
-
-    touches: dict[int, tuple[int, Vector]]
-    arriving: tuple[int, int] | None
-    free: Indices
-    alone: Vector
-    few: Vector
-    sampler: Sampler
-    control: ForceControl
-    gripping: list[int]
-    most: Vector
-
-    @property
-    def holding(self) -> list[int]:
-        """The limbs that hold."""
-        return list(self.touches)
-
-
 class Controller:
     """Makes one robot follow its plan.
 
@@ -156,34 +125,7 @@ class Controller:
         self._at_center = np.zeros((self._axes, nv))
         self._disturbance = Disturbance(robot, time_step)
         self.phase, self.landing = 0, False
-        self._stance = self._stand()
-
-    def _stand(self) -> _Stance:
-        """What is fixed during the phase."""
-        robot = self.robot
-        touches = self._touches(self.phase)
-        after = {} if self.done else self._touches(self.phase + 1)
-        arriving = [(limb, hold) for limb, (hold, _) in after.items() if limb not in touches]
-        free = np.concatenate([robot.base_v, *(limb.v for i, limb in enumerate(robot.limbs) if i not in touches)])
-        moments = {limb: self.wall.holds[hold].max_moment for limb, (hold, _) in touches.items()}
-        gripping = [limb for limb, moment in moments.items() if moment > 0.0]
-        return _Stance(
-            touches=touches,
-            arriving=arriving[0] if arriving else None,
-            free=free,
-            alone=np.eye(len(robot.velocity_names))[:, free],
-            few=np.eye(self._axes * len(touches)),
-            sampler=Sampler(robot, list(touches)),
-            control=ForceControl(self.wall, [hold for hold, _ in touches.values()], self._axes, len(gripping)),
-            gripping=gripping,
-            most=np.array([moments[limb] for limb in gripping]),
-        )
-
-    def _touches(self, phase: int) -> dict[int, tuple[int, Vector]]:
-        """By limb that holds: its hold, and where the plan has the foot in W [m]."""
-        place = {contact.limb: contact for contact in self.reference.phase(phase).contacts}
-        limbs = [(i, place[name]) for i, name in enumerate(self.robot.limb_names) if name in place]
-        return {i: (contact.hold, contact.point) for i, contact in limbs}
+        self._stance = PhaseStance.of(reference, 0, wall)
 
     # --- the plan's clock ---------------------------------------------------------------------------------------------
 
@@ -234,7 +176,7 @@ class Controller:
         """Goes on to the next phase."""
         before = self._stance.touches
         self.phase, self.landing = self.phase + 1, False
-        self._stance = self._stand()
+        self._stance = PhaseStance.of(self.reference, self.phase, self.wall)
         for limb, its in enumerate(self.robot.limbs):
             if limb in before or limb in self._stance.touches:
                 self._aside[its.v] = 0.0
@@ -246,7 +188,7 @@ class Controller:
     def pace(self) -> float:
         """How fast the clock may run, between 0 and 1, by the tracking error of the last command."""
         free = self._stance.free
-        worst = float((np.abs(self.error[free]) / self._tolerance[free]).max())
+        worst: float = max((np.abs(self.error[free]) / self._tolerance[free]).tolist())
         return min(max(2.0 - worst, 0.0), 1.0)
 
     # --- forces and torques -------------------------------------------------------------------------------------------
@@ -267,7 +209,7 @@ class Controller:
         sampler = stance.sampler
         plant, context = sampler.plant, sampler.context
         plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
-        J, Jdot_v = np.empty((sampler.num_rows, len(v))), np.empty(sampler.num_rows)
+        J, Jdot_v = stance.J, stance.Jdot_v
         sampler.J(J)
         sampler.Jdot_v(Jdot_v)
         # (1)
@@ -302,7 +244,7 @@ class Controller:
         forces = stance.control.forces(demand)
         # (5)
         torque = np.zeros(len(robot.joint_v))
-        torque[self._motors] = (demand.c - demand.A @ forces).clip(-self._limits, self._limits)
+        torque[self._motors] = np.minimum(np.maximum(demand.c - demand.A @ forces, -self._limits), self._limits)
         vd = vd + motions[:, base] @ (gives @ (demand.E @ forces - demand.load))
         disturbance.expect((v + self.time_step * vd)[stance.free])
         return self._act(torque, forces)
@@ -319,7 +261,7 @@ class Controller:
             push: Of the disturbances [N].
         """
         stance = self._stance
-        wished = desired.force[stance.holding, : self._axes].ravel()
+        wished = desired.force.reshape(-1)[stance.places]
         if stance.gripping:
             J = np.concatenate([J, self._turning[stance.gripping]])
             wished = np.concatenate([wished, desired.moment[stance.gripping]])
@@ -382,16 +324,15 @@ class Controller:
 
     def _act(self, torque: Vector, forces: Vector) -> Command:
         """The command that goes with torques and contact forces."""
-        stance, axes, robot = self._stance, self._axes, self.robot
-        held = axes * len(stance.touches)
-        force, moment = np.zeros((len(robot.limbs), 3)), np.zeros(len(robot.limbs))
-        force[stance.holding, :axes] = forces[:held].reshape(-1, axes)
+        stance, robot, held = self._stance, self.robot, len(self._stance.places)
+        force, moment = np.zeros(3 * len(robot.limbs)), np.zeros(len(robot.limbs))
+        force[stance.places] = forces[:held]
         applied = np.zeros(len(robot.velocity_names))
         applied[robot.joint_v] = torque
         if stance.gripping:
             moment[stance.gripping] = forces[held:].clip(-stance.most, stance.most)
             applied += moment @ self._turning
-        return Command(torque, moment, force, applied)
+        return Command(torque, moment, force.reshape(-1, 3), applied)
 
 
 def _places(indices: Indices) -> Indices | slice:

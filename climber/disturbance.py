@@ -21,6 +21,8 @@ make light feet slip. What remains of f acts on the pelvis and the free limbs th
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from climber.definite import solved
@@ -74,7 +76,8 @@ class Disturbance:
         """
         if self._expected is None:
             return
-        off = (nu - self._expected).clip(-MOST * self._step, MOST * self._step)
+        most = MOST * self._step
+        off = np.minimum(np.maximum(nu - self._expected, -most), most)
         self._felt[free] += FINDING * (inertia @ off)
 
     def weigh(self, weight: Vector, push: Vector, free: Indices, motions: Vector) -> None:
@@ -88,7 +91,7 @@ class Disturbance:
         """
         scale = self._scale[free]
         hanging = motions.T @ weight
-        size = float(np.linalg.norm(hanging)) + LITTLE
+        size = math.sqrt(hanging @ hanging) + LITTLE
         causes = np.concatenate([hanging[None] / size, push[:, free]]) * scale
         found = solved(causes @ causes.T + RIDGE**2 * np.eye(len(causes)), causes @ (self._felt[free] * scale))
         share = float(found[0]) / size

@@ -182,7 +182,7 @@ class _Program:
         """How readily each force changes, shape (m,): a foot that hardly presses has no friction to spare."""
         control, ready = self._control, np.ones(len(self._wished))
         pushes = self._wished[control._along] + control._pull
-        mean = max(float(pushes.sum()) / max(len(pushes), 1), LEAST)
+        mean = max(sum(pushes.tolist()) / max(len(pushes), 1), LEAST)
         ready[control._places] = np.minimum(np.maximum(pushes / mean, LIGHT), 1.0)[:, None]
         return ready
 
@@ -190,14 +190,15 @@ class _Program:
         """The solution but for what is exceeded."""
         eased = self._ease[:, None] * self._E.T
         carry = self._E @ eased
-        carry += (1e-9 * carry.trace() + 1e-12) * np.eye(len(carry))
+        diagonal = carry.reshape(-1)[:: len(carry) + 1]
+        diagonal += 1e-9 * sum(diagonal.tolist()) + 1e-12
         result: Vector = self._wished + eased @ solved(carry, self._b - self._E @ self._wished)
         return result
 
     def _limits(self, x: Vector) -> tuple[Vector, Vector, Vector, Vector]:
         """The `excess`, the `torque`, the forces `across` normals, shape (k, axes - 1), and their lengths, `slide`."""
         across, push = x[self._control._across], x[self._control._along] + self._control._pull
-        slide = np.sqrt((across * across).sum(axis=1) + TINY**2)
+        slide = np.sqrt(np.add.reduce(across * across, axis=1) + TINY**2)
         torque = self._c - self._A @ x
         cones = slide - self._shares * push
         excess = np.concatenate([cones.ravel(), self._press - push, LEAST - push, np.abs(torque) - self._most])
@@ -205,7 +206,8 @@ class _Program:
 
     def exceeds(self, x: Vector) -> bool:
         """Whether forces use more friction than they should, or a foot or motor does what it cannot."""
-        return bool(self._limits(x)[0].max() > INSIDE)
+        worst: float = max(self._limits(x)[0].tolist())
+        return worst > INSIDE
 
     def point(self, x: Vector) -> _Point:
         """What there is to say of forces."""
@@ -228,12 +230,18 @@ class _Program:
         """Half the Hessian, shape (m, m)."""
         tight, along = point.excess > 0.0, point.along
         slopes = slopes[tight]
-        result = np.diag(1.0 / self._ease) + BALANCE * self._E.T @ self._E
-        result += (slopes.T * self._weights[tight]) @ slopes
-        bent = point.pulls[: self._shares.size].reshape(self._shares.shape).sum(axis=0) / point.slide
-        turn = np.eye(along.shape[1]) - along[:, :, None] * along[:, None, :]
-        across = self._control._across
-        result[across[:, :, None], across[:, None, :]] += bent[:, None, None] * turn
+        result = self._fixed + (slopes.T * self._weights[tight]) @ slopes
+        if along.shape[1] > 1:  # on the wall plane cones are straight
+            bent = np.add.reduce(point.pulls[: self._shares.size].reshape(self._shares.shape)) / point.slide
+            turn = np.eye(along.shape[1]) - along[:, :, None] * along[:, None, :]
+            across = self._control._across
+            result[across[:, :, None], across[:, None, :]] += bent[:, None, None] * turn
+        return np.asarray(result)
+
+    @cached_property
+    def _fixed(self) -> Vector:
+        """The part of it that does not depend on the forces, shape (m, m)."""
+        result: Vector = np.diag(1.0 / self._ease) + BALANCE * self._E.T @ self._E
         return result
 
     def solve(self, x: Vector, last: Vector | None) -> Vector:
@@ -257,7 +265,7 @@ class _Program:
             slopes = self._slopes(point)
             step = -solved(self._curvature(point, slopes), point.smooth + point.pulls @ slopes)
             # A step may be short because of a limit that it is about to leave, but not after one that left none.
-            short = np.abs(step).max() < SETTLED
+            short = max(map(abs, step.tolist())) < SETTLED
             if short and kept:
                 return point.x + step, True
             share, before = self._best_share(point, slopes @ step, step), point
@@ -266,7 +274,7 @@ class _Program:
                 if share < SHORTEST or point.cost <= before.cost + ROUNDING * abs(before.cost):
                     break
                 share *= 0.5
-            kept = bool(((before.excess > 0.0) == (point.excess > 0.0)).all())
+            kept = (before.excess > 0.0).tolist() == (point.excess > 0.0).tolist()
             if short and kept:
                 return point.x, True
         return point.x, False

@@ -209,7 +209,8 @@ class World:
 
     def state(self) -> list[tuple[Vector, Vector]]:
         """Positions and velocities of each robot, as in its own plant."""
-        q, v = self.plant.GetPositions(self.context), self.plant.GetVelocities(self.context)
+        every = self.plant.GetPositionsAndVelocities(self.context)
+        q, v = every[: self.plant.num_positions()], every[self.plant.num_positions() :]
         return [(q[mine], v[yours]) for mine, yours in zip(self._q, self._v, strict=True)]
 
     def step(self, forces: Sequence[Vector]) -> None:

@@ -91,8 +91,8 @@ class Watch:
         np.maximum(self._torque, np.abs(command.torque), out=self._torque)
         astray = math.hypot(*controller.error[controller.robot.origin_q].tolist())
         self.pelvis_error = max(self.pelvis_error, astray)
-        free = controller.error[controller.free_joints]
-        self.joint_error = max(self.joint_error, float(np.abs(free).max(initial=0.0)))
+        free = controller.error[controller.free_joints].tolist()
+        self.joint_error = max(self.joint_error, *map(abs, free), 0.0)
         if not astray < ASTRAY:
             self.fell = f"the pelvis is {1e3 * astray:.0f} mm from where it should be at {now:.2f} s"
         for limb, (hold, _) in controller.touches.items():
