@@ -50,6 +50,11 @@ def test_a_row_survives_being_printed(capsys):
     assert Row.read("swing took 51 ms") is None
 
 
+def test_every_part_is_described():
+    described = (everything.HERE / "README.md").read_text(encoding="utf-8")
+    assert [part for part in everything.parts() if f"| `{part}` |" not in described] == []
+
+
 @pytest.mark.parametrize(
     ("measured", "target", "sense", "met"),
     [
