@@ -56,10 +56,28 @@ class PhaseTiming:
         return replace(self, active=tuple((a + seconds, b + seconds, name) for a, b, name in self.active))
 
     def followed(self, after: float, other: PhaseTiming) -> PhaseTiming:
-        """This timing and then another one, which begins so many seconds after it."""
-        method: TimingMethod = "conic" if self.method == other.method == "conic" else "paced"
-        limits = self.limits if self.limits == other.limits else {}
-        return PhaseTiming(method, limits, self.active + other.later(after).active)
+        """This timing and then another one, which begins so many seconds after it.
+
+        Of limits that differ, since one of the two was slowed, the greater are told, and are active where they were; of
+        two methods, one of which has no limits, there are none to be told.
+        """
+        if "paced" in (self.method, other.method):
+            return PhaseTiming()
+        limits = {
+            kind: {name: max(limit, other.limits[kind][name]) for name, limit in own.items()}
+            for kind, own in self.limits.items()
+        }
+
+        def active(timing: PhaseTiming) -> tuple[tuple[float, float, str], ...]:
+            slowed = {
+                f"{kind} {name}"
+                for kind, own in limits.items()
+                for name, limit in own.items()
+                if timing.limits[kind][name] < limit
+            }
+            return tuple(interval for interval in timing.active if interval[2] not in slowed)
+
+        return PhaseTiming("conic", limits, active(self) + active(other.later(after)))
 
 
 @dataclass(frozen=True)

@@ -88,6 +88,21 @@ def test_an_untruth_is_found_by_the_check_for_it(check: str, path: str, value: o
     assert check in failing(edited(told(), f"{PHASE}/1/timing/{path}", value))
 
 
+def test_of_two_timings_one_of_which_was_slowed_the_greater_limits_are_told() -> None:
+    at_full = PhaseTiming("conic", {"speed": {"hip": 3.6, "knee": 3.6}}, ((0.0, 0.1, "speed hip"),))
+    slowed = PhaseTiming(
+        "conic", {"speed": {"hip": 1.8, "knee": 3.6}}, ((0.0, 0.1, "friction left"), (0.1, 0.2, "speed hip"))
+    )
+    knee = replace(slowed, active=((0.2, 0.3, "speed knee"),))
+    both = at_full.followed(1.0, slowed).followed(2.0, knee)
+    assert both.limits == at_full.limits
+    told = [(0.0, 0.1, "speed hip"), (1.0, 1.1, "friction left"), (2.2, 2.3, "speed knee")]
+    assert [interval[2] for interval in both.active] == [interval[2] for interval in told]
+    assert np.array([interval[:2] for interval in both.active]) == pytest.approx(np.array([each[:2] for each in told]))
+    # And of one by a law of fixed shape nothing is, nor of any other that it is one with.
+    assert at_full.followed(1.0, PhaseTiming()) == PhaseTiming().followed(1.0, at_full) == PhaseTiming()
+
+
 def test_a_limit_of_jerk_beyond_the_scenarios_is_found_of_joints_and_of_the_pelvis() -> None:
     (robot,) = told().robots
     jerk = robot.phases[1].timing.limits["jerk"]["right_front_hip"]
