@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from climbs import short
 from robots import robot
 
 from climber.cli import main
@@ -15,7 +16,8 @@ from climber.scenario import load_scenario
 @pytest.fixture(scope="module")
 def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("solved")
-    assert main(["solve", "basic", "--out", str(folder)]) == 0
+    (folder / "short.yaml").write_text(short().source)
+    assert main(["solve", str(folder / "short.yaml"), "--out", str(folder)]) == 0
     return folder
 
 
@@ -42,10 +44,10 @@ def test_draw_draws_a_saved_plan_elsewhere(solved: Path, tmp_path: Path) -> None
 
 
 def test_solve_prints_json_alone_on_standard_output(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code = main(["solve", "basic", "--out", str(tmp_path), "--seed", "3", "--no-pictures", "--json"])
+    code = main(["solve", "three_limbed", "--out", str(tmp_path), "--seed", "3", "--no-pictures", "--json"])
     facts = json.loads(capsys.readouterr().out)
     assert code == 0
-    assert facts["moves"] == 13
+    assert facts["moves"] == 2
     assert [Path(name).name for name in facts["files"]] == ["plan.json"]
 
 

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from climbs import short
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -346,7 +347,8 @@ def test_a_planner_that_stopped_early_leaves_a_climb_to_be_tried() -> None:
 
 def test_what_the_planner_itself_gave_up_is_told_of_as_not_found() -> None:
     """A disk in the middle of the wall, and little effort: the planner ends without a plan, having proved nothing."""
-    blocked = BASIC.replace("robots:", "  obstacles:\n  - circle: {center: [0.5, 0.14], radius: 0.13}\nrobots:", 1)
+    disk = "  obstacles:\n  - circle: {center: [0.42, 0.14], radius: 0.13}\nrobots:"
+    blocked = short().source.replace("robots:", disk, 1)
     effort = "budget: {posture_samples: 200, postures: 4, path_attempts: 1, path_iterations: 10}\n"
     scenario = _scenario(f"{blocked}\n{effort}")
     with pytest.raises(NoPlanFound) as caught:

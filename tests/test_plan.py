@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from climbs import short
+from stored import planned
 
 from climber.exceptions import NoPlanFound, ScenarioError
 from climber.plan import plan_climb
@@ -19,7 +21,12 @@ from climber.verify import verify
 
 @pytest.fixture(scope="module")
 def basic() -> Plan:
-    return plan_climb(load_scenario("basic"))
+    return planned("basic")
+
+
+@pytest.fixture(scope="module")
+def beginning() -> Plan:
+    return plan_climb(short())
 
 
 def edited(name: str, *changes: tuple[str, str]) -> Scenario:
@@ -70,24 +77,25 @@ def test_every_cut_says_why(basic: Plan) -> None:
         assert len(cut.reason) > 10
 
 
-def test_the_same_seed_gives_the_same_plan(basic: Plan) -> None:
-    again = plan_climb(load_scenario("basic"))
-    for one, two in zip(basic.robots[0].phases, again.robots[0].phases, strict=True):
+def test_the_same_seed_gives_the_same_plan(beginning: Plan) -> None:
+    again = plan_climb(short())
+    for one, two in zip(beginning.robots[0].phases, again.robots[0].phases, strict=True):
         np.testing.assert_array_equal(one.q, two.q)
         np.testing.assert_array_equal(one.torque, two.torque)
 
 
-def test_a_wall_with_an_obstacle_in_the_way_is_climbed_around_it() -> None:
-    scenario = edited(
-        "higher", ("robots:\n", "  obstacles:\n  - circle: {center: [0.40, 0.62], radius: 0.02}\nrobots:\n")
+def test_a_wall_with_an_obstacle_in_the_way_is_climbed_around_it(beginning: Plan) -> None:
+    text = short().source.replace(
+        "robots:\n", "  obstacles:\n  - circle: {center: [0.30, 0.33], radius: 0.02}\nrobots:\n"
     )
-    assert len(scenario.wall.obstacles) == 1
-    verdict = verify(plan_climb(scenario))
+    through = verify(replace(beginning, scenario_text=text))
+    assert {check.name for check in through.failures} == {"obstacle clearance"}
+    verdict = verify(plan_climb(scenario_from_text(text, "short, with an obstacle")))
     assert verdict.ok, str(verdict)
 
 
 def test_avoided_holds_are_not_stood_on() -> None:
-    free = plan_climb(load_scenario("higher"))
+    free = planned("higher")
     used = {hold for stance in free.robots[0].stances for hold in stance.values()}
     spec = load_scenario("higher").robots[0]
     ends = set(spec.start.values()) | set(spec.goal.holds or ())
@@ -115,8 +123,8 @@ def test_two_newtons_on_every_foot_are_proved_to_leave_no_climb() -> None:
 
 def test_searches_that_gave_up_are_not_called_a_proof() -> None:
     # An obstacle between the start and the goal holds, which the planar robot cannot step over.
-    wall = "  obstacles:\n  - polygon: {vertices: [[0.45, -0.3], [0.55, -0.3], [0.55, 0.6], [0.45, 0.6]]}\nrobots:\n"
-    scenario = edited("basic", ("robots:\n", wall))
+    wall = "  obstacles:\n  - polygon: {vertices: [[0.25, -0.3], [0.35, -0.3], [0.35, 0.6], [0.25, 0.6]]}\nrobots:\n"
+    scenario = scenario_from_text(short().source.replace("robots:\n", wall), "short, with an obstacle")
     scenario.budget.posture_samples = 500  # that more of them find nothing either would take a minute to see
     with pytest.raises(NoPlanFound) as raised:
         plan_climb(scenario)
@@ -133,11 +141,11 @@ def test_a_start_that_cannot_be_held_is_an_error_in_the_scenario() -> None:
         plan_climb(scenario)
 
 
-def test_a_prescribed_start_posture_is_the_first_sample(basic: Plan) -> None:
-    robot = basic.robots[0]
+def test_a_prescribed_start_posture_is_the_first_sample(beginning: Plan) -> None:
+    robot = beginning.robots[0]
     q = robot.phases[2].q[0] * 0 + robot.phases[0].q[0]
     wanted = {name: float(q[robot.positions.index(name)]) for name in robot.joints}
-    scenario = load_scenario("basic")
+    scenario = short()
     scenario.robots[0].start_posture = wanted
     first = plan_climb(scenario).robots[0].phases[0].q[0]
     for name, angle in wanted.items():

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from climbs import short
 
 from climber.crowding import Crowding
 from climber.plan import plan_climb
@@ -17,12 +18,12 @@ from climber.task import TaskPlan, TaskPlanner, Walk
 from climber.team_plan import Recorder, TeamSearch, without_waits
 from climber.verify import verify
 
-APART = 3.0  # [m] between the wall of scenario `basic` and its copy
+APART = 3.0  # [m] between the wall and its copy
 
 
 def two_walls() -> Scenario:
-    """Scenario `basic` twice, side by side, each with a robot."""
-    text = load_scenario("basic").source
+    """The beginning of `basic` twice, side by side, each with a robot."""
+    text = short().source
     holds = re.findall(r"  - \{position: \[.*\n", text)
     count = len(holds)
 
@@ -47,7 +48,7 @@ def test_two_robots_on_walls_of_their_own_climb_at_the_same_time(team: Plan) -> 
     verdict = verify(team)
     assert verdict.ok, str(verdict)
     assert verdict["robot clearance"].worst is not None and verdict["robot clearance"].worst > 2.0
-    alone = plan_climb(load_scenario("basic")).robots[0]
+    alone = plan_climb(short()).robots[0]
     for robot in team.robots:
         assert (robot.moves, robot.proofs["steps"]) == (alone.moves, alone.moves)
         assert robot.proofs["moves"] is True and robot.proofs["cost"] is True
@@ -64,7 +65,7 @@ def test_one_waits_for_the_other_at_the_end_of_every_step(team: Plan) -> None:
         within = (first.time >= begin) & (first.time <= end)
         assert not first.v[within].any()
         rests += int(within.sum())
-    assert rests > 10
+    assert rests > 0
 
 
 def test_each_robot_of_a_team_improves_and_they_still_keep_their_clock(team: Plan) -> None:

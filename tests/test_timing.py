@@ -23,7 +23,7 @@ def motions(model: str) -> list[tuple[Manifold, Curve]]:
     """Curves along paths, in plain and in rooted charts, with all limbs holding and with one in the air."""
     result = []
     limbs = len(robot(model).limbs)
-    for seed in range(4):
+    for seed in range(3):
         here = standing(model, seed, (seed % limbs,) if seed % 2 else ())
         q = here.postures(np.random.default_rng(seed), 30)
         for number in (0, 1):
