@@ -5,11 +5,13 @@ Written for `verify_margins`, on the mechanics of `verify_model`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from climber.robot import Robot
 from climber.stance import Vector
-from climber.verify_model import Tree
+from climber.verify_model import Poses, Tree
 from climber.verify_motion import Motion
 
 STEP = 1e-5  # [m] of differences
@@ -35,7 +37,7 @@ class Mechanics:
         poses, limbs = tree.poses(q), len(robot.limbs)
         none = np.zeros((len(q), limbs, 3))
         self.load = tree.required_force(poses, v, vd, none)
-        self.columns = self._columns(tree, q, range(limbs))
+        self.columns = self._columns(tree, poses, range(limbs))
         self.turns = np.zeros((len(q), limbs, v.shape[1]))
         for limb in range(limbs) if gripped else ():
             moment = np.zeros((len(q), limbs))
@@ -47,20 +49,13 @@ class Mechanics:
         own = [tree.off_center(axis).required_force(poses, v, vd, none) - self.load for axis in axes]
         self.displaced = np.einsum("pkv,kwp->kvw", np.array(own), R[:, :, : self._dimension])
         out = np.einsum("kwp,kw->kp", R, tree.center_of_mass(poses) - tree.pelvis(poses))
-        points = self._columns(tree.held_at(np.concatenate([np.zeros((1, 3)), axes])), q, range(1 + len(axes)))
+        points = self._columns(tree.held_at(np.concatenate([np.zeros((1, 3)), axes])), poses, range(1 + len(axes)))
         self.pushed = points[:, 0] + np.einsum("kp,kpvw->kvw", out[:, : len(axes)], points[:, 1:] - points[:, :1])
 
-    def _columns(self, tree: Tree, q: Vector, limbs: range) -> Vector:
-        """What forces of 1 N on the feet add to the required force, (K, len(limbs), nv, 3)."""
-        poses, rest = tree.poses(q), np.zeros(q.shape)
-        feet = tree.feet(poses).shape
-        start = tree.required_force(poses, rest, rest, np.zeros(feet))
-        result = np.zeros((len(q), len(limbs), q.shape[1], 3))
-        for i, limb in enumerate(limbs):
-            for axis in range(self._dimension):
-                force = np.zeros(feet)
-                force[:, limb, axis] = 1.0
-                result[:, i, :, axis] = tree.required_force(poses, rest, rest, force) - start
+    def _columns(self, tree: Tree, poses: Poses, limbs: Sequence[int]) -> Vector:
+        """What 1 N on some of the feet adds to the required force, (K, len(limbs), nv, 3); in the plane not along z."""
+        result = tree.required_of_feet(poses, limbs)
+        result[..., self._dimension :] = 0.0
         return result
 
     def followed(self, rows: Vector) -> tuple[Vector, Vector]:
@@ -79,17 +74,20 @@ class Mechanics:
         load = np.zeros((len(q), len(limbs), q.shape[1], 3))
         columns = np.zeros((len(q), len(limbs), q.shape[1], 3, 3))
         axes = slice(0, self._dimension)
-        rest, none = np.zeros(q.shape), np.zeros((len(q), len(limbs), 3))
+        ways = 2 * self._dimension  # there and back along each axis
+        rest, none = np.zeros((ways * len(q), q.shape[1])), np.zeros((ways * len(q), len(limbs), 3))
         for number, limb in enumerate(limbs):
             along = -self.columns[rows, number][:, limb.v, axes]  # the foot's velocity by the joints'
             inverse = np.linalg.pinv(np.swapaxes(along, 1, 2))
+            moved = np.tile(q, (ways, 1, 1))
             for axis in range(self._dimension):
-                ends = []
-                for sign in (1.0, -1.0):
-                    moved = q.copy()
-                    moved[:, limb.q] += sign * STEP * inverse[:, :, axis]
-                    own = self._columns(tree, moved, range(number, number + 1))[:, 0]
-                    ends.append((tree.required_force(tree.poses(moved), rest, rest, none), own))
-                load[:, number, :, axis] = (ends[0][0] - ends[1][0]) / (2.0 * STEP)
-                columns[:, number, ..., axis] = (ends[0][1] - ends[1][1]) / (2.0 * STEP)
+                moved[2 * axis, :, limb.q] += STEP * inverse[:, :, axis].T
+                moved[2 * axis + 1, :, limb.q] -= STEP * inverse[:, :, axis].T
+            poses = tree.poses(moved.reshape(-1, q.shape[1]))
+            for values, result in (
+                (tree.required_force(poses, rest, rest, none), load),
+                (self._columns(tree, poses, [number])[:, 0], columns),
+            ):
+                ends = values.reshape(ways, len(q), *values.shape[1:])
+                result[:, number, ..., axes] = np.moveaxis(ends[::2] - ends[1::2], 0, -1) / (2.0 * STEP)
         return load, columns

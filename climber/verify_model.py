@@ -162,6 +162,26 @@ class Tree:
         at = [poses.origin[b] + poses.rotation[b] @ foot for b, foot in zip(self._foot_body, self._foot, strict=True)]
         return np.stack(at, axis=1)
 
+    def required_of_feet(self, poses: Poses, numbers: Sequence[int]) -> Vector:
+        """What a force of 1 N on some of the feet, along each of W's axes, adds to the required force.
+
+        Returns:
+            Generalised forces [N, N m], shape (K, len(numbers), nv, 3).
+        """
+        carrier = {int(joint.child_body().index()): place for place, joint in enumerate(self._joints)}
+        result = np.zeros((poses.origin.shape[1], len(numbers), self._damping.size, 3))
+        for i, number in enumerate(numbers):
+            body = self._foot_body[number]
+            foot = poses.origin[body] + poses.rotation[body] @ self._foot[number]
+            while body in carrier:
+                joint, free = self._joints[carrier[body]], self._freedoms[carrier[body]]
+                for place, (freedom, axis) in enumerate(
+                    zip(free, poses.axes[body], strict=True), joint.velocity_start()
+                ):
+                    result[:, i, place] = -axis if freedom.slides else -_cross(axis, foot - poses.hinge[body])
+                body = int(joint.parent_body().index())
+        return result
+
     def pelvis(self, poses: Poses) -> Vector:
         """Where the pelvis's origin is in W [m], shape (K, 3)."""
         return np.asarray(poses.origin[self._pelvis])

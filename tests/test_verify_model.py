@@ -10,6 +10,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plans import QUADRUPED
+from plans_space import LEMUR
 from shapely.geometry import LineString, Point, Polygon, box
 
 from climber.exceptions import ModelError
@@ -116,6 +117,20 @@ def test_a_contact_force_enters_through_the_transposed_jacobian() -> None:
     step = 1e-6 * np.eye(11)
     J = (tree.feet(tree.poses(q + step))[:, 2] - tree.feet(tree.poses(q - step))[:, 2]) / 2e-6
     np.testing.assert_allclose(change[0], -J @ force[0, 2], atol=1e-8)
+
+
+@pytest.mark.parametrize("model", [QUADRUPED, LEMUR])
+def test_unit_forces_on_feet_need_what_they_change(model: str) -> None:
+    tree, rng = Tree(Robot(Model.load(model))), np.random.default_rng(4)
+    size = Robot(Model.load(model)).plant.num_velocities()
+    poses, still, none = tree.poses(rng.uniform(-1.0, 1.0, (5, size))), np.zeros((5, size)), np.zeros((5, 4, 3))
+    needed = tree.required_of_feet(poses, [3, 1])
+    for place, foot in enumerate([3, 1]):
+        for axis in range(3):
+            force = none.copy()
+            force[:, foot, axis] = 1.0
+            change = tree.required_force(poses, still, still, force) - tree.required_force(poses, still, still, none)
+            np.testing.assert_allclose(needed[:, place, :, axis], change, atol=1e-12)
 
 
 def test_a_base_that_is_not_planar_is_refused(tmp_path: Path) -> None:
