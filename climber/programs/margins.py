@@ -19,6 +19,7 @@ from climber.robot import Indices
 from climber.stance import Vector
 
 MEASURED = 16  # instants whose balls are measured at a time
+AT_ONCE = 64  # instants that all rays are followed at, at a time, so that what is worked out stays in the cache
 GAP = 1e-2  # share of a margin that it may be short of the greatest, in the plane
 
 
@@ -73,15 +74,14 @@ class DisturbanceMargin:
         self._limits = rays.directions @ np.swapaxes(C, 1, 2)
         self._B, self._C = B, C
         K, M = len(instants), len(rays.directions)
-        self._room = instants.room(instants.center)
         self.rho = np.zeros((K, M))
         self._exact = np.broadcast_to(~instants.sound[:, None], (K, M)).copy()
         answer = self._right @ np.swapaxes(instants.inverse, 1, 2)
         gap = np.abs(answer @ np.swapaxes(instants.E, 1, 2) - self._right).max(axis=2, initial=0.0)
-        slope = instants.G @ np.swapaxes(answer, 1, 2) - np.swapaxes(self._limits, 1, 2)
-        far = instants.stepped(self._room[:, :, None], slope)
         # A disturbance that no forces balance, of whatever size, is not survived at all.
         self._exact |= gap > 1e-7
+        spans = [slice(k, k + AT_ONCE) for k in range(0, K, AT_ONCE)]
+        far = np.concatenate([instants.followed(at, answer[at], self._limits[at]) for at in spans])
         self.rho = np.where(self._exact, 0.0, np.minimum(far, cap))
         self._moved = np.zeros(K, dtype=bool)  # instants with points farther out than when their balls were measured
 
@@ -96,8 +96,7 @@ class DisturbanceMargin:
         unfinished: Sequence[int] = range(P)
         while unfinished:
             wanted: list[tuple[int, int]] = []
-            for p in unfinished:
-                k = self._least(slice(starts[p], starts[p + 1]))
+            for p, k in zip(unfinished, self._least(unfinished), strict=True):
                 value[p] = self._radius[k]
                 corners = self.rays.faces[self._face[k]]
                 nearest = int(corners[np.argmin(self.rho[k, corners])])
@@ -116,18 +115,23 @@ class DisturbanceMargin:
                         best[p], worst[p], which[p], toward[p] = bound, k, m, foot
         return Worst(value, worst, which), toward
 
-    def _least(self, span: slice) -> int:
-        """The instant of a phase whose ball is the least.
+    def _least(self, phases: Sequence[int]) -> list[int]:
+        """The instants of some phases whose balls are the least.
 
         Points on rays only ever move outwards, so that what an instant measured before is a bound from below. Only
         those are measured again that it does not rule out.
         """
+        starts = self.instants.starts
         while True:
-            k = int(span.start + np.argmin(self._radius[span]))
-            if not self._moved[k]:
-                return k
-            moved = span.start + np.flatnonzero(self._moved[span])
-            some = moved[np.argsort(self._radius[moved])[:MEASURED]]
+            least = [int(starts[p] + np.argmin(self._radius[starts[p] : starts[p + 1]])) for p in phases]
+            parts = []
+            for p, k in zip(phases, least, strict=True):
+                if self._moved[k]:
+                    moved = starts[p] + np.flatnonzero(self._moved[starts[p] : starts[p + 1]])
+                    parts.append(moved[np.argsort(self._radius[moved])[:MEASURED]])
+            if not parts:
+                return least
+            some = np.concatenate(parts)
             self._radius[some], self._face[some], self.rho[some] = self.rays.inscribed(self.rho[some])
             self._moved[some] = False
 
@@ -148,10 +152,10 @@ class DisturbanceMargin:
         right = np.concatenate([at.g, np.full((len(k), 1), self.cap)], axis=1)
         E = np.concatenate([at.E, -B[:, :, None]], axis=2)
         found, y, z = solve_each(cost, E, b, rows, right, nudge=NUDGE)
-        starts = self.instants.starts
-        for i in np.flatnonzero(np.isfinite(found[:, n]) & (found[:, n] > 0.0)):
-            p = self.instants.phase[k[i]]
-            self._try(slice(starts[p], starts[p + 1]), int(m[i]), found[i, :n], found[i, n])
+        some = np.flatnonzero(np.isfinite(found[:, n]) & (found[:, n] > 0.0))
+        for p in np.unique(at.phase[some]):
+            own = some[at.phase[some] == p]
+            self._try(int(p), m[own], found[own, :n], found[own, n])
         self._exact[k, m] = True
         bound, foot = self.rho[k, m], self.rays.directions[m].copy()
         a = -np.einsum("kud,ku->kd", self._B[k], y) - np.einsum("krd,kr->kd", self._C[k], z[:, :r])
@@ -161,13 +165,13 @@ class DisturbanceMargin:
             bound[i], foot[i] = bound[i] / length[i], a[i] / length[i]
         return bound, foot
 
-    def _try(self, span: slice, m: int, x: Vector, rho: float) -> None:
-        """Follows the way from the center to forces x for the disturbance rho u_m, at the instants of a phase."""
-        near = self.instants[span]
-        center, room = self.instants.center[span], self._room[span]
-        step = near.balanced(x, rho * self._right[span, m]) - center
-        slope = (near.G @ step[:, :, None])[:, :, 0] - rho * self._limits[span, m]
-        far = np.minimum(near.stepped(room, slope) * rho, self.cap)
-        farther = ~self._exact[span, m] & (far > self.rho[span, m])
-        self.rho[span, m] = np.where(farther, far, self.rho[span, m])
-        self._moved[span] |= farther
+    def _try(self, p: int, m: Indices, x: Vector, rho: Vector) -> None:
+        """Follows ways from the center at the instants of a phase: to forces x, (T, n), for disturbances rho u_m."""
+        instants, at = self.instants, slice(*self.instants.starts[p : p + 2])
+        right, limits = (rho[:, None] * part[at][:, m] for part in (self._right, self._limits))
+        gap = instants.b[at, None] + right - x @ np.swapaxes(instants.E[at], 1, 2)
+        step = x - instants.center[at, None] + gap @ np.swapaxes(instants.inverse[at], 1, 2)
+        far = np.minimum(instants.followed(at, step, limits) * rho, self.cap)
+        farther = ~self._exact[at][:, m] & (far > self.rho[at][:, m])
+        self.rho[at, m] = np.where(farther, far, self.rho[at, m])
+        self._moved[at] |= farther.any(axis=1)

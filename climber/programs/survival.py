@@ -97,6 +97,29 @@ class Instants:
         return result
 
     @cached_property
+    def _measured(self) -> Vector:
+        """G with each row in parts of the room that the center leaves in it, transposed, shape (K, n, r)."""
+        return np.ascontiguousarray(np.swapaxes(self.G * self._per_room[:, :, None], 1, 2))
+
+    @cached_property
+    def _per_room(self) -> Vector:
+        """One over the room that the center leaves in each row [1/N, 1/N m], shape (K, r)."""
+        return np.asarray(1.0 / np.maximum(self.room(self.center), LEVEL))
+
+    def followed(self, at: slice, step: Vector, extra: Vector) -> Vector:
+        """How many steps one can go from the center, shape (L, T).
+
+        Args:
+            at: L of the instants.
+            step: T steps at each of them, shape (L, T, n).
+            extra: What each adds to g, shape (L, T, r).
+        """
+        slope = step @ self._measured[at] - extra * self._per_room[at, None]
+        with np.errstate(divide="ignore"):
+            result: Vector = 1.0 / slope.max(axis=2, initial=0.0)
+        return result
+
+    @cached_property
     def center(self) -> Vector:
         """Forces well inside the limits, shape (K, n): `inmost` at one sample in `SPARSE`, else between those.
 
