@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable, MultibodyForces
+from pydrake.systems.framework import Context
 
 from climber.robot import Indices, Robot
 from climber.stance import Vector
@@ -66,8 +67,8 @@ class DynamicsBatch:
 class Sampler:
     """Asks Drake for the terms of equation 4.24 at one state after another, a few microseconds a term."""
 
-    def __init__(self, robot: Robot, holding: Sequence[int]) -> None:
-        self.plant, self.context = robot.plant, robot.context()
+    def __init__(self, robot: Robot, holding: Sequence[int], context: Context | None = None) -> None:
+        self.plant, self.context = robot.plant, context or robot.context()
         self._feet = [self.plant.GetFrameByName(robot.limbs[limb].foot) for limb in holding]
         # An axis across the wall carries no force of a planar robot: its planar joint does.
         self._axes = 2 if robot.planar else 3
@@ -105,18 +106,8 @@ class Sampler:
 
 def turning(robot: Robot, limbs: Sequence[int]) -> Vector:
     """How fast the feet of a planar robot's limbs turn about z by its velocities, shape (len(limbs), nv); constant."""
-    world, context = robot.plant.world_frame(), robot.context()
-    rows = [
-        robot.plant.CalcJacobianAngularVelocity(
-            context,
-            JacobianWrtVariable.kV,
-            robot.plant.GetFrameByName(robot.limbs[limb].foot),
-            world,
-            world,
-        )[2]
-        for limb in limbs
-    ]
-    return np.array(rows).reshape(len(rows), robot.plant.num_velocities())
+    result: Vector = robot.turning[np.array(limbs, dtype=int)]
+    return result
 
 
 def evaluate(robot: Robot, q: Vector, v: Vector, holding: Sequence[int]) -> DynamicsBatch:
@@ -128,7 +119,7 @@ def evaluate(robot: Robot, q: Vector, v: Vector, holding: Sequence[int]) -> Dyna
         v: Velocities [m/s, rad/s], shape (K, nv).
         holding: The limbs whose feet hold on; their order is that of the rows of J_c.
     """
-    sampler, K, nv = Sampler(robot, holding), len(q), robot.plant.num_velocities()
+    sampler, K, nv = Sampler(robot, holding, robot.workspace), len(q), robot.plant.num_velocities()
     M, h = np.empty((K, nv, nv)), np.empty((K, nv))
     J, Jdot_v = np.empty((K, sampler.num_rows, nv)), np.empty((K, sampler.num_rows))
     for k, state in enumerate(np.concatenate([q, v], axis=1)):
@@ -142,7 +133,7 @@ def evaluate(robot: Robot, q: Vector, v: Vector, holding: Sequence[int]) -> Dyna
 
 def evaluate_at_rest(robot: Robot, q: Vector, holding: Sequence[int]) -> tuple[Vector, Vector]:
     """The bias h, shape (K, nv), and the contact Jacobians, shape (K, m, nv), of `evaluate` for postures q at v = 0."""
-    sampler, K, nv = Sampler(robot, holding), len(q), robot.plant.num_velocities()
+    sampler, K, nv = Sampler(robot, holding, robot.workspace), len(q), robot.plant.num_velocities()
     h, J = np.empty((K, nv)), np.empty((K, sampler.num_rows, nv))
     for k, state in enumerate(np.pad(q, ((0, 0), (0, nv)))):
         sampler.plant.SetPositionsAndVelocities(sampler.context, state)

@@ -68,7 +68,7 @@ class Body:
         kinematics: Its kinematics.
         clearance: Its clearance.
         supports: Where the centre of mass may be over sets of contacts, as far as that is known yet; see `support_of`.
-        precedents: What is known of which postures sets of contacts can hold.
+        precedents: What is known of which postures limbs can hold, by the limbs that are in contact.
         inverse: The inverse kinematics of each limb; None for one that has none in closed form, such as one of a single
             joint.
     """
@@ -78,7 +78,7 @@ class Body:
         self.kinematics = Kinematics(robot)
         self.clearance = clearance_of(self.kinematics, wall)
         self.supports: dict[tuple[Contact, ...], Region | None] = {}
-        self.precedents: dict[tuple[Contact, ...], Precedents] = {}
+        self.precedents: dict[tuple[int, ...], Precedents] = {}
         self.inverse = tuple(
             limb_inverse(robot.planar, limb, chain)
             for limb, chain in zip(robot.limbs, self.kinematics.chains, strict=True)
@@ -91,7 +91,9 @@ class Body:
 
     def held(self, q: Vector, contacts: Sequence[Contact]) -> NDArray[np.bool_]:
         """Which postures q, shape (K, nq), contacts and motors can hold still, shape (K,)."""
-        known = self.precedents.setdefault(tuple(contacts), Precedents())
+        if not len(q):
+            return np.zeros(0, dtype=bool)
+        known = self.precedents.setdefault(tuple(contact.limb for contact in contacts), Precedents())
         return static_feasible(self.robot, self.wall, q, contacts, precedents=known)
 
     def branches(self, q: Vector) -> tuple[int, ...]:

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint, PlanarJoint, RevoluteJoint
+from pydrake.multibody.tree import JacobianWrtVariable, Joint, PlanarJoint, RevoluteJoint
 from pydrake.systems.framework import Context
 
 from climber.exceptions import ModelError
@@ -335,6 +335,20 @@ class Robot:
         angle = self.angle_q
         result[..., angle] -= 2 * np.pi * np.round((q[..., angle] - reference[..., angle]) / (2 * np.pi))
         return result
+
+    @cached_property
+    def turning(self) -> Vector:
+        """How fast each limb's foot turns about z by the velocities of a planar robot, shape (num_limbs, nv)."""
+        plant, context = self.plant, self.workspace
+        world, kind = plant.world_frame(), JacobianWrtVariable.kV
+        plant.SetPositions(context, np.zeros(plant.num_positions()))
+        feet = [plant.GetFrameByName(limb.foot) for limb in self.limbs]
+        return np.array([plant.CalcJacobianAngularVelocity(context, kind, foot, world, world)[2] for foot in feet])
+
+    @cached_property
+    def workspace(self) -> Context:
+        """A context for who sets the state before asking for anything and keeps nothing in it."""
+        return self.context()
 
     def context(self) -> Context:
         """A fresh context of the plant."""

@@ -20,20 +20,20 @@ from typing import TypeVar
 import numpy as np
 
 from climber.programs.instants import Instants, Mask
-from climber.programs.torque_blocks import TOLERANCE, Least, least_violation
+from climber.programs.torque_blocks import TOLERANCE, Least, least_violation, unlimited
 from climber.robot import Indices
 from climber.stance import Vector
 
 FIRST = 4  # instants whose programs are solved in the first round, twice as many in each that follows
 PLAINLY = 10 * TOLERANCE  # [N, N m] a violation that no solver's rounding makes up
-MOST = 32  # forces, and multipliers, that are remembered: those that were of use last
+MOST_FORCES, MOST_MULTIPLIERS = 8, 32  # that are remembered: those that were of use last
 
 
 Item = TypeVar("Item")
 
 
 class Precedents:
-    """What solved instants say of others with the same contacts, for instants that come later."""
+    """What solved instants say of others with the same limbs on whatever holds, for instants that come later."""
 
     def __init__(self) -> None:
         self._forces: list[Vector] = []
@@ -42,20 +42,28 @@ class Precedents:
     def learn(self, least: Least) -> None:
         """Remembers solutions."""
         carried = least.s <= TOLERANCE
-        self._forces = [*least.t[carried], *self._forces][:MOST]
+        self._forces = [*least.t[carried], *self._forces][:MOST_FORCES]
         no = np.flatnonzero(~carried & np.isfinite(least.s))
-        self._multipliers = [*((least.y[i], least.w[i]) for i in no), *self._multipliers][:MOST]
+        self._multipliers = [*((least.y[i], least.w[i]) for i in no), *self._multipliers][:MOST_MULTIPLIERS]
+
+    def open(self, instants: Instants, left: Indices, result: Mask) -> Indices:
+        """Those of some places that nothing is known of; where instants are carried, `result` is set."""
+        left = left[~self.refused(instants[left])]
+        yes = self.carried(instants[left])
+        result[left[yes]] = True
+        return left[~yes]
 
     def carried(self, instants: Instants) -> Mask:
         """Which instants forces that were of use elsewhere carry, shape (K,)."""
         result = np.zeros(len(instants), dtype=bool)
-        used = []
+        used: list[int] = []
         for i, t in enumerate(self._forces):
             left = np.flatnonzero(~result)
             if not len(left):
                 break
             some = instants[left]
-            now = some.inside(some.balanced(np.broadcast_to(t, (len(some), len(t)))))
+            nearest = some.balanced(np.broadcast_to(t, (len(some), len(t))))
+            now = some.inside(nearest) & (some.imbalance(nearest) <= TOLERANCE)
             result[left] = now
             if now.any():
                 used.append(i)
@@ -84,25 +92,28 @@ def can_carry(instants: Instants, precedents: Precedents | None = None) -> Mask:
 
     Args:
         instants: The instants.
-        precedents: What is known from others with the same contacts and limits; grows.
+        precedents: What is known from others with the same limbs in contact; grows.
     """
     precedents = precedents or Precedents()
     result = np.zeros(len(instants), dtype=bool)
-    left = np.arange(len(instants))
+    left = precedents.open(instants, np.arange(len(instants)), result)
+    if not len(left):
+        return result
+    # Few limits bind where a robot is strong and its holds are good.
+    some = instants[left]
+    t = unlimited(some)
+    balanced, inside = some.imbalance(t) <= TOLERANCE, some.inside(t)
+    result[left[balanced & inside]] = True
+    left = left[balanced & ~inside]
     count = FIRST
-    while True:
-        left = left[~precedents.refused(instants[left])]
-        yes = precedents.carried(instants[left])
-        result[left[yes]] = True
-        left = left[~yes]
-        if not len(left):
-            return result
+    while len(left):
         chosen = _evenly(len(left), count)
         least = least_violation(instants[left[chosen]])
         precedents.learn(least)
         result[left[chosen]] = least.s <= TOLERANCE
-        left = np.delete(left, chosen)
+        left = precedents.open(instants, np.delete(left, chosen), result)
         count *= 2
+    return result
 
 
 def _evenly(number: int, most: int) -> Indices:

@@ -295,18 +295,13 @@ def static_feasible(
         q: The postures.
         contacts: The limbs that hold and their holds.
         margin: How far inside the limits; by default so far that a controller has something to correct with.
-        precedents: What is known from other postures on these contacts with this margin; grows.
+        precedents: What is known from other postures with the same limbs in contact; grows.
     """
     margin = margin or (Margin(force=ROOM * robot.weight) if robot.weak else MARGIN)
     limbs = [contact.limb for contact in contacts]
     h, J = evaluate_at_rest(robot, q, limbs)
     instants = Instants.of_loads(robot, _forces(robot, wall, contacts), h, J, margin, turning(robot, limbs))
-    t = torque_blocks.unlimited(instants)
-    balanced = instants.imbalance(t) <= TOLERANCE
-    good = balanced & instants.inside(t)
-    rest = np.flatnonzero(balanced & ~good)
-    good[rest] = can_carry(instants[rest], precedents)
-    return good
+    return can_carry(instants, precedents)
 
 
 def _forces(robot: Robot, wall: Wall, contacts: Sequence[Contact]) -> ContactForces:
