@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         errors.print(f"error: {error.filename or ''}: {error.strerror or error}", style="red", markup=False)
         return BAD_INPUT
     except KeyboardInterrupt:
-        errors.print("interrupted; nothing was written", style="red")
+        errors.print("interrupted", style="red")
         return BAD_INPUT
 
 
@@ -74,7 +74,10 @@ def _parser() -> argparse.ArgumentParser:
     solve.add_argument("--time-limit", type=_positive, metavar="S", help="instead of the scenario's [s]")
     solve.add_argument("--objective", choices=OBJECTIVES, help="what is to be little, instead of the scenario's")
     solve.add_argument(
-        "--improve", type=_seconds, metavar="S", help="time for improving the climb once there is one [s]; 0 by default"
+        "--improve",
+        type=_seconds,
+        metavar="S",
+        help="time for improving the climb once there is one [s]; 0 by default. Ctrl-C ends it",
     )
     solve.add_argument(
         "--min-margin",

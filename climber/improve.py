@@ -74,7 +74,7 @@ class Improver:
         self.rounds = 0
 
     def improve(self, way: Way, began: float, rounds: int = 0, seconds: float = 0.0) -> tuple[Way, Progress]:
-        """The best climb found.
+        """The best climb found; if interrupted from the keyboard, the best by then.
 
         Args:
             way: The climb to begin with.
@@ -84,11 +84,14 @@ class Improver:
         """
         value = self._planner.objective.value(self._planner.body, way.motions)
         progress = Progress().then(clock.perf_counter() - began, value)
-        for _ in range(rounds):
-            way, value, progress = self._step(way, value, progress, began)
-        until = clock.perf_counter() + seconds
-        while clock.perf_counter() < until:
-            way, value, progress = self._step(way, value, progress, began)
+        try:
+            for _ in range(rounds):
+                way, value, progress = self._step(way, value, progress, began)
+            until = clock.perf_counter() + seconds
+            while clock.perf_counter() < until:
+                way, value, progress = self._step(way, value, progress, began)
+        except KeyboardInterrupt:
+            pass  # whoever has waited long enough wants what there is
         return way, progress
 
     def _step(self, way: Way, value: float, progress: Progress, began: float) -> tuple[Way, float, Progress]:

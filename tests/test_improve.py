@@ -156,6 +156,22 @@ def test_curves_are_refined_together_only_if_the_climb_is_no_worse_for_it(
         assert achieved.value <= planner.objective.value(search.body, motions) + 1e-9
 
 
+def test_who_is_interrupted_has_the_best_climb_by_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    way, better, _ = improved("length")
+    planner, _ = beginning(objective="length", free_start=True)
+    improver = Improver(planner.phases, planner.budget, 0)
+    offered = iter([better])
+
+    def impatient(given: Way) -> Way:
+        for other in offered:
+            return other
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(improver, "round", impatient)
+    found, progress = improver.improve(way, time.perf_counter(), seconds=3600.0)
+    assert found is better and len(progress.entries) == 2
+
+
 def test_seconds_are_spent_on_top_of_rounds() -> None:
     began = time.perf_counter()
     plan = plan_climb(small(), improve=0.3)
