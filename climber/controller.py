@@ -52,7 +52,8 @@ class Gains:
         joint: Natural frequency of a free limb's joint errors [1/s]; critically damped.
         foot: How fast a holding foot that moves is brought to rest [1/s].
         approach: A foot that ends its swing off its hold goes on along the hold's normal this fast [m/s].
-        settle: Joints of a limb that lets go elsewhere than planned are back on the plan after about this time [s].
+        settle: A robot that starts elsewhere than planned, or the joints of a limb that lets go so, are led back to the
+            plan in about this time [s].
         pelvis_error: The clock slows when the pelvis is this far off [m], and stops at twice of it.
         pelvis_angle: Likewise for its orientation [rad].
         joint_error: Likewise for the joints of free limbs [rad].
@@ -171,6 +172,10 @@ class Controller:
     def arriving(self) -> tuple[int, int] | None:
         """The limb that takes hold when the phase ends, and its hold."""
         return self._stance.arriving
+
+    def start(self, q: Vector) -> None:
+        """The robot is at q [m, rad], shape (nq,), at rest: it is led to where the plan begins, not torn."""
+        self._aside = self.robot.v_of(q, self.reference.at(0, self.begin).q - q)
 
     def advance(self) -> None:
         """Goes on to the next phase."""

@@ -96,7 +96,10 @@ class Loop:
         self._rate = 0.0 if self._growing else 1.0
         rng = np.random.default_rng([perturbation.seed, 1])
         self._pushes = [perturbation.pushed(rng, robot.dimension) for robot in robots]
-        self.world.place([self._posture(watch, perturbation.start_error, rng) for watch in self.watches])
+        postures = [self._posture(watch, perturbation.start_error, rng) for watch in self.watches]
+        self.world.place(postures)
+        for controller, q in zip(controllers, postures, strict=True):
+            controller.start(q)
         self._touch_all()
 
     def _touch(self, robot: int, limb: int, hold: int, point: Vector) -> Touch:
@@ -113,13 +116,18 @@ class Loop:
         )
 
     def _posture(self, watch: Watch, error: float, rng: np.random.Generator) -> Vector:
-        """The posture that the plan begins with, its pelvis displaced, its feet on the holds as they really are."""
+        """The posture that the plan begins with, its pelvis displaced, its feet on the holds as they really are.
+
+        They press on these as they do in the plan: feet that had yet to meet their holds would slide till they do.
+        """
         controller = watch.controller
-        robot, q = controller.robot, controller.reference.at(0, controller.begin).q.copy()
+        robot, desired = controller.robot, controller.reference.at(0, controller.begin)
+        q = desired.q.copy()
         q[robot.origin_q] += error * in_ball(rng, len(robot.origin_q))
         q[robot.angle_q] += 10.0 * error * in_ball(rng, len(robot.angle_q))
         touches = controller.touches
-        goals = np.array([point + self._moved[hold] for hold, point in touches.values()])
+        pressed = [self.world.pressed(hold, desired.force[limb]) for limb, (hold, _) in touches.items()]
+        goals = pressed + np.array([point + self._moved[hold] for hold, point in touches.values()])
         sampler = Sampler(robot, list(touches))
         axes = robot.dimension
         J = np.empty((sampler.num_rows, len(robot.velocity_names)))

@@ -1,7 +1,9 @@
 """The world that a plan is simulated in: the robots and the holds in one Drake plant with discrete contact.
 
-A foot is a small sphere about the origin of its frame. A hold is a thin box below its patch, lowered by the radius of
-the spheres, so that a foot that stands on the patch has its centre there, as in the plan. Friction is the hold's own.
+A foot is a small sphere about the origin of its frame, or as far as Drake is concerned several in the same place: where
+a foot should stick, Drake's friction lets it creep in proportion to what a point of contact carries, and so they share
+it. A hold is a thin box below its patch, lowered by the radius of the spheres, so that a foot that stands on the patch
+has its centre there, as in the plan. Friction is the hold's own.
 A pin is a ball joint that is closed while it is gripped, and a magnet pulls the foot that is on it. Nothing else
 touches: limbs, pelvis and obstacles have no shapes here, since what a plan says of clearances `climber.verify` checks.
 """
@@ -36,8 +38,11 @@ FOOT_RADIUS = 0.0005  # [m]
 THICKNESS = 0.004  # of the boxes [m]
 RIM = 0.004  # the box reaches this far beyond the patch, so that a foot at its edge, or rolled off it, is on it [m]
 DEPTH = 0.005  # least half extent of the box across the wall plane [m]
-STEPS = 2  # of the plant to one of the controllers; feet that should stick creep in proportion to the plant's step
-STIFFNESS = 1e7  # of a contact [N/m]; beyond what Drake's solver resolves in a step, so that it is nearly rigid
+STEPS = 2  # of the plant to one of the controllers
+POINTS = 4  # spheres of a foot, all in one place: feet that should stick creep in proportion to what one sphere carries
+# Of a foot's spheres together, and of a hold [N/m]; one gives way after the other. Were it ten times more, forces would
+# swing from step to step till feet slide.
+STIFFNESS = 1e7
 DISSIPATION = 50.0  # of a contact [s/m]: an overlap goes down no faster than its inverse, or feet would bounce
 STICTION = 1e-5  # foot that slips slower is held by as much less than friction could [m/s]
 
@@ -131,10 +136,10 @@ class World:
         self._v = [self._places(robot.velocity_names, i, positions=False) for i, robot in enumerate(self.robots)]
         self.touch([])
 
-    def _add_foot(self, frame: Any, name: str, friction: float) -> GeometryId:
-        pose = frame.GetFixedPoseInBodyFrame()
-        properties = _material(friction)
-        return self.plant.RegisterCollisionGeometry(frame.body(), pose, Sphere(FOOT_RADIUS), name, properties)
+    def _add_foot(self, frame: Any, name: str, friction: float) -> list[GeometryId]:
+        pose, properties = frame.GetFixedPoseInBodyFrame(), _material(friction)
+        add, sphere = self.plant.RegisterCollisionGeometry, Sphere(FOOT_RADIUS)
+        return [add(frame.body(), pose, sphere, f"{name}_{k}", properties) for k in range(POINTS)]
 
     def _add_hold(self, hold: Hold, number: int, friction: float) -> GeometryId:
         along, out = self.wall.tangents[number], self.wall.normals[number]
@@ -181,11 +186,11 @@ class World:
 
     def touch(self, touches: Sequence[Touch]) -> None:
         """Lets these feet touch these holds, closes these pins, and lets nothing else touch or hold."""
-        feet = GeometrySet([foot for row in self._feet for foot in row])
+        feet = GeometrySet([point for row in self._feet for foot in row for point in foot])
         declaration = CollisionFilterDeclaration().ExcludeBetween(feet, GeometrySet(self._holds)).ExcludeWithin(feet)
         for touch in touches:
             if self.wall.holds[touch.hold].grip != "pin":
-                foot = GeometrySet([self._feet[touch.robot][touch.limb]])
+                foot = GeometrySet(self._feet[touch.robot][touch.limb])
                 declaration.AllowBetween(foot, GeometrySet([self._holds[touch.hold]]))
         self._filters.Apply(declaration)
         self._pulls = [
@@ -198,6 +203,14 @@ class World:
         ]
         for pin, constraint in self._pins.items():
             self.plant.SetConstraintActiveStatus(self.context, constraint, pin in touches)
+
+    def pressed(self, hold: int, force: Vector) -> Vector:
+        """How far a foot at rest is moved by a force of the hold on it, in W [N], as their contact gives way [m]."""
+        if self.wall.holds[hold].grip == "pin":
+            return np.zeros(3)
+        normal: Vector = self.wall.normals[hold]
+        press = float(normal @ force) + self.wall.holds[hold].adhesion
+        return -max(press, 0.0) / (STIFFNESS / 2) * normal
 
     def place(self, q: Sequence[Vector]) -> None:
         """Puts the robots into postures, at rest; positions as in their own plants."""
@@ -255,7 +268,7 @@ def _material(friction: float) -> ProximityProperties:
     properties = ProximityProperties()
     AddContactMaterial(
         dissipation=DISSIPATION,
-        point_stiffness=STIFFNESS,
+        point_stiffness=STIFFNESS / POINTS,
         friction=CoulombFriction(friction, friction),
         properties=properties,
     )

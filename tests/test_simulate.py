@@ -14,6 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from plans import STEP, edited, just_within, step_plan, still_plan
 
+from climber import simulation_model
 from climber.cli import main
 from climber.exceptions import ClimberError
 from climber.least_margins import least_margins
@@ -40,23 +41,37 @@ BODY = """\
 ORIGIN = (0.0, 0.0, 0.0)
 
 
-@pytest.fixture(scope="module")
-def body(tmp_path_factory: pytest.TempPathFactory) -> Model:
-    folder = tmp_path_factory.mktemp("body")
-    (folder / "body.urdf").write_text(BODY)
+def written(folder: Path, urdf: str) -> Model:
+    (folder / "body.urdf").write_text(urdf)
     (folder / "body.yaml").write_text("pelvis: body\nlimbs:\n- {name: only, foot: foot}\n")
     return Model.load(folder / "body.urdf")
 
 
+@pytest.fixture(scope="module")
+def body(tmp_path_factory: pytest.TempPathFactory) -> Model:
+    return written(tmp_path_factory.mktemp("body"), BODY)
+
+
+@pytest.fixture(scope="module")
+def light(tmp_path_factory: pytest.TempPathFactory) -> Model:
+    """A body as light as a robot is at a foot."""
+    return written(tmp_path_factory.mktemp("light"), BODY.replace('mass value="1"', 'mass value="0.02"'))
+
+
 def pushed(
-    model: Model, hold: Hold, force: tuple[float, float], seconds: float, gravity: bool = True
+    model: Model,
+    hold: Hold,
+    force: tuple[float, float],
+    seconds: float,
+    gravity: bool = True,
+    pressed: bool = False,
 ) -> tuple[World, Footing]:
-    """The body on a hold at the origin under a steady force [N], in W, for so long."""
+    """The body on a hold at the origin under a steady force [N], in W, for so long; pressed by it from the start."""
     wall = Wall((hold,), inclination_deg=90.0 if gravity else 0.0)
     robot = Robot(model, wall.gravity)
     touch = Touch(0, 0, 0, ORIGIN)
     world = World(wall, [robot], [touch] if hold.grip == "pin" else [], TIME_STEP)
-    world.place([np.zeros(3)])
+    world.place([world.pressed(0, -np.array([*force, 0.0])) if pressed else np.zeros(3)])
     world.touch([touch])
     footing = Footing(wall, 0)
     for _ in range(round(seconds / TIME_STEP)):
@@ -89,6 +104,23 @@ def test_a_foot_slips_if_and_only_if_its_force_leaves_the_cone(body, friction, l
         # Drake's friction creeps a little where it should stick: 0.1 mm a second.
         assert (footing.slip < 5e-5) == stays
         assert stays or footing.slip > 0.3 * 0.5 * 0.1 * friction * push * 0.3**2
+
+
+def test_a_foot_creeps_the_less_the_more_points_share_its_load(light, monkeypatch):
+    slips = []
+    for points in (1, 2, 4):
+        monkeypatch.setattr(simulation_model, "POINTS", points)
+        _, footing = pushed(light, Hold(ORIGIN, (0.0, 1.0, 0.0), 0.6), (4.0, -10.0), 0.3, gravity=False, pressed=True)
+        slips.append(footing.slip)
+    assert slips[0] < 1e-4
+    assert slips[1:] == pytest.approx([slips[0] / 2, slips[0] / 4], rel=0.1)
+
+
+def test_a_foot_that_starts_pressed_on_its_hold_does_not_slide_before_it_sticks(light):
+    hold, force = Hold(ORIGIN, (0.0, 1.0, 0.0), 0.6), (4.0, -10.0)
+    worlds = [pushed(light, hold, force, 0.01, gravity=False, pressed=pressed)[0] for pressed in (False, True)]
+    late, once = (world.foot(0, 0)[0][0] for world in worlds)
+    assert 0.0 < once < 1e-6 < 1e-5 < late
 
 
 def test_a_foot_pulled_off_its_hold_is_lost(body):
@@ -187,6 +219,7 @@ def test_the_clock_waits_for_a_robot_that_starts_astray():
     assert not late.fell
     assert late.robots[0].pelvis_error > 0.004
     assert late.simulated > stepped().simulated
+    assert late.slip < 1e-4  # it is led to its plan and not torn
 
 
 @pytest.mark.parametrize("error", [0.002, 0.005])
