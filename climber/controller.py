@@ -114,8 +114,8 @@ class Controller:
         driven, self._limits = robot.joint_v[motors], robot.effort[motors]
         self._motors, self._driven = _places(motors), _places(driven)
         self._loose = _places(np.setdiff1d(np.arange(nv), driven))
-        self._limbs = ~np.isin(np.arange(nv), robot.base_v)
-        self._giving = np.where(self._limbs, 1.0, GIVING)
+        self._limbs, self._giving = np.ones(nv), np.ones(nv)
+        self._limbs[robot.base_v], self._giving[robot.base_v] = 0.0, GIVING
         omega = np.full(nv, self.gains.joint)
         omega[robot.base_v] = self.gains.pelvis
         self._kp, self._kd = omega**2, 2.0 * omega
