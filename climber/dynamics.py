@@ -135,9 +135,11 @@ def evaluate_at_rest(robot: Robot, q: Vector, holding: Sequence[int]) -> tuple[V
     """The bias h, shape (K, nv), and the contact Jacobians, shape (K, m, nv), of `evaluate` for postures q at v = 0."""
     sampler, K, nv = Sampler(robot, holding, robot.workspace), len(q), robot.plant.num_velocities()
     h, J = np.empty((K, nv)), np.empty((K, sampler.num_rows, nv))
+    plant, context = sampler.plant, sampler.context
+    gravity_alone = plant.num_force_elements() == 1  # no springs: quicker
     for k, state in enumerate(np.pad(q, ((0, 0), (0, nv)))):
-        sampler.plant.SetPositionsAndVelocities(sampler.context, state)
-        h[k] = sampler.h()
+        plant.SetPositionsAndVelocities(context, state)
+        h[k] = -plant.CalcGravityGeneralizedForces(context) if gravity_alone else sampler.h()
         sampler.J(J[k])
     return h, J
 

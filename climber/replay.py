@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -70,24 +71,32 @@ class Replay:
         along = weight_in_plane(wall, robot.mass)
         self.weight = along or robot.mass * GRAVITY
         self._forces = wall_forces(wall, robot.dimension)
-        regions = [self._region(wall, phase) for phase in plan.phases]
+        regions = self._regions(wall, plan.phases)
         self.support = np.array([ends for ends, _ in regions])
         self.polygons = None if robot.planar else tuple(polygon for _, polygon in regions)
         self._begins = np.array([phase.time[0] for phase in plan.phases])
         self.start, self.end = float(plan.phases[0].time[0]), float(plan.phases[-1].time[-1])
 
-    def _region(self, wall: Wall, phase: Phase) -> tuple[Vector, Vector]:
-        """The extent along x of where a phase's contacts support the centre of mass; in space, its corners as well."""
-        holds = np.array([[contact.hold for contact in phase.contacts]], dtype=int)
-        points = np.array([[contact.point for contact in phase.contacts]], dtype=float).reshape(1, -1, 3)
-        if self.robot.planar:
-            ends: Vector = support_intervals(points, self._forces[holds], weight_in_plane(wall, self.robot.mass))[0]
-            return ends, np.zeros((0, 3))
-        region = support_regions(points, self._forces[holds], self.robot.mass * wall.gravity)
-        if region.empty[0]:
-            return np.full(2, np.nan), np.zeros((0, 3))
-        corners = region.corners[0] @ region.basis
-        return np.array([corners[:, 0].min(), corners[:, 0].max()]), corners
+    def _regions(self, wall: Wall, phases: Sequence[Phase]) -> list[tuple[Vector, Vector]]:
+        """The extents along x of where phases' contacts support the centre of mass; in space, their corners as well."""
+        result = [(np.full(2, np.nan), np.zeros((0, 3)))] * len(phases)
+        for count in {len(phase.contacts) for phase in phases}:  # many of a kind at once
+            places = [i for i, phase in enumerate(phases) if len(phase.contacts) == count]
+            some = [phases[i].contacts for i in places]
+            holds = np.array([[contact.hold for contact in contacts] for contacts in some], dtype=int)
+            points = np.array([[contact.point for contact in contacts] for contacts in some], dtype=float)
+            points = points.reshape(len(some), count, 3)
+            if self.robot.planar:
+                ends = support_intervals(points, self._forces[holds], weight_in_plane(wall, self.robot.mass))
+                for i, own in zip(places, ends, strict=True):
+                    result[i] = own, np.zeros((0, 3))
+                continue
+            found = support_regions(points, self._forces[holds], self.robot.mass * wall.gravity)
+            for i, empty, own in zip(places, found.empty, found.corners, strict=True):
+                if not empty:
+                    corners = own @ found.basis
+                    result[i] = np.array([corners[:, 0].min(), corners[:, 0].max()]), corners
+        return result
 
     def at(self, time: float) -> Moment:
         """The robot at `time` [s], samples interpolated linearly; before and after the climb it stands still."""
