@@ -20,7 +20,7 @@ from climber.plan_parts import MarginKind
 from climber.simulation import SLIP_LIMIT, Perturbation, Simulation
 from climber.simulation_loop import Loop, Setting
 
-TIME_STEP = 0.001  # [s]
+TIME_STEP = 0.002  # [s]
 
 
 def simulate(

@@ -38,7 +38,7 @@ FOOT_RADIUS = 0.0005  # [m]
 THICKNESS = 0.004  # of the boxes [m]
 RIM = 0.004  # the box reaches this far beyond the patch, so that a foot at its edge, or rolled off it, is on it [m]
 DEPTH = 0.005  # least half extent of the box across the wall plane [m]
-STEPS = 2  # of the plant to one of the controllers
+STEPS = 4  # of the plant to one of the controllers
 POINTS = 4  # spheres of a foot, all in one place: feet that should stick creep in proportion to what one sphere carries
 # Of a foot's spheres together, and of a hold [N/m]; one gives way after the other. Were it ten times more, forces would
 # swing from step to step till feet slide.
