@@ -38,7 +38,7 @@ from climber.transitions import Effort, MoveFailure, TransitionFinder
 
 Report = Callable[[str], None]
 EFFORTS = (1, 4)  # multiples of the budget for postures and paths that are spent before giving up
-ASKED_BALANCE = 0.002  # [m] from the border of the support, where the margins that count are asked for by name
+ASKED_BALANCE = 0.001  # [m] from the border of the support, where the margins that count are asked for by name
 
 
 @dataclass

@@ -26,13 +26,13 @@ ASKED = "min_margin: {push: 0.6}\n"
 @pytest.fixture(scope="module")
 def asked() -> Plan:
     scenario = scenario_from_text(short().source + ASKED, "short.yaml")
-    return plan_climb(scenario, min_margin={"friction": 0.02})
+    return plan_climb(scenario, min_margin={"friction": 0.04})
 
 
 def test_a_plan_has_the_margins_that_were_asked_for(asked: Plan) -> None:
     for phase in asked.robots[0].phases:
         assert phase.margins["push"].value >= 0.6
-        assert phase.margins["friction"].value >= 0.02
+        assert phase.margins["friction"].value >= 0.04
     verdict = verify(asked)
     assert verdict.ok, str(verdict)
     assert verdict["asked margins"].ok
@@ -53,7 +53,7 @@ def test_a_margin_below_what_the_scenario_asks_for_is_found() -> None:
 
 
 def test_a_plan_tells_what_was_asked_for_besides_the_scenario(asked: Plan) -> None:
-    assert Plan.from_json(asked.to_json()).min_margin == {"friction": 0.02}
+    assert Plan.from_json(asked.to_json()).min_margin == {"friction": 0.04}
     more = edited(asked, "min_margin/friction", 1.01 * min(p.margins["friction"].value for p in asked.robots[0].phases))
     assert {check.name for check in verify(Plan.from_json(more)).failures} == {"asked margins"}
 
