@@ -185,7 +185,7 @@ class Controller:
         for limb, its in enumerate(self.robot.limbs):
             if limb in before or limb in self._stance.touches:
                 self._aside[its.v] = 0.0
-                self._disturbance.forget(its.v)
+                self._disturbance.forget(its.v, self.weight)
             if limb in before and limb not in self._stance.touches:
                 self._aside[its.v] = self.error[its.v]
 
@@ -238,9 +238,10 @@ class Controller:
         self._at_center = self._motion_at_center(context)
         disturbance = self._disturbance
         disturbance.observe(v[stance.free], stance.free, motions.T @ moved)
-        disturbance.weigh(self.weight, self._at_center, stance.free, motions)
-        more, rest = disturbance.parts(self.weight, stance.free, motions)
-        load = sampler.load(vd) - more - rest
+        load = sampler.load(vd)
+        disturbance.weigh(load, self._at_center, stance.free, motions)
+        more, rest = disturbance.parts(load, stance.free, motions)
+        load = load - more - rest
         # (4)
         base = slice(len(robot.base_v))
         gives = _inverse(moved[self._loose, base])
@@ -280,6 +281,7 @@ class Controller:
             most=self._limits,
             drop=desired.drop,
             press=PRESS * push,
+            turn=desired.turn,
         )
 
     def pushed(self, force: Vector) -> Vector:

@@ -7,23 +7,22 @@ et al. 2017, 4.2, in these coordinates and discrete):
 
     (1) f' = k Lambda (nu - nu_expected) / dt
 
-All d with N^T d = f move the robot alike, but they press differently on the feet that hold. Two causes are told apart,
-a robot that is heavier than its model by a share s, and a push F at its centre of mass: with the weights w, and the
-Jacobian P of that point as one of the pelvis,
+All d with N^T d = f move the robot alike, but they press differently on the feet that hold. Three causes are told
+apart: a robot that is heavier than its model by a share s, a push F at its centre of mass, and a centre of mass that is
+off, which makes a moment m across gravity. With the Jacobians P of that point as one of the pelvis and R of the
+pelvis's turning,
 
-    (2) f = N^T (s w + P^T F)
+    (2) f = -s N^T (M vd + h),   f = N^T P^T F,   or   f = N^T R^T m.
 
-in the sense of least squares. Links that hang from a limb that swings, and legs that stand aslant, feel their weight
-and do not feel the push. While all limbs hold, the two are much alike; then a robot that seems lighter is taken for
-that, and one that seems heavier for one that is pushed, since legs that press on holds with the weight they do not have
-make light feet slip. What remains of f acts on the pelvis and the free limbs themselves: d = s w + [f - N^T s w].
+While all limbs hold there are too few numbers in f to add causes up, so the one that by itself comes nearest in the
+sense of least squares, of late, is taken for it: errors come one at a time. A robot that is heavier has d = -s (M vd +
+h), and what remains of f acts on the pelvis and the free limbs themselves.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
+from pydrake.multibody.tree import JacobianWrtVariable
 
 from climber.definite import solved
 from climber.robot import Indices, Robot
@@ -31,9 +30,9 @@ from climber.stance import Vector
 
 FINDING = 50.0  # k [1/s]
 WEIGHING = 20.0  # how fast it is told how much heavier the robot is [1/s]
-RIDGE = 0.02  # causes that differ by a smaller share are not told apart
 LEVER = 0.1  # a torque counts as a force at this distance [m]
 MOST = 50.0  # acceleration that is taken for a disturbance within one time step at most [m/s^2, rad/s^2]
+LIGHTEST, HEAVIEST = -0.95, 3.0  # shares beyond which no robot is lighter or heavier than its model
 LITTLE = 1e-9  # [N]
 
 
@@ -53,14 +52,31 @@ class Disturbance:
         """
         self.heavier = 0.0
         self._step, self._felt = time_step, np.zeros(len(robot.velocity_names))
-        self._pelvis = len(robot.base_v)
         self._scale = np.full(len(robot.velocity_names), 1.0 / LEVER)
         self._scale[robot.origin_q] = 1.0  # the pelvis's velocities are in the order of its positions
+        self._turns = self._couples(robot)
+        self._missed = np.zeros(3)
         self._expected: Vector | None = None
 
-    def forget(self, joints: Indices) -> None:
-        """A limb lets go or takes hold: what its joints feel from then on is something else."""
-        self._felt[joints], self._expected = 0.0, None
+    @staticmethod
+    def _couples(robot: Robot) -> Vector:
+        """Moments on the pelvis that gravity makes if the centre of mass is off, as generalised forces, (c, nv)."""
+        context, world, pelvis = robot.context(), robot.plant.world_frame(), robot.pelvis.body_frame()
+        wrt = JacobianWrtVariable.kV
+        turning = robot.plant.CalcJacobianAngularVelocity(context, wrt, pelvis, world, world)
+        down = robot.gravity / max(float(np.linalg.norm(robot.gravity)), LITTLE)
+        moments = np.cross(np.eye(3)[: robot.dimension], down) @ turning
+        _, sizes, ways = np.linalg.svd(moments, full_matrices=False)
+        return np.asarray(ways * (sizes > LITTLE)[:, None])
+
+    def forget(self, joints: Indices, weight: Vector) -> None:
+        """A limb lets go or takes hold: what its joints feel from then on is something else, their weight at first.
+
+        Args:
+            joints: Places of its joints among the velocities.
+            weight: Of the model as generalised forces [N, N m], shape (nv,).
+        """
+        self._felt[joints], self._expected = self.heavier * weight[joints], None
 
     def expect(self, nu: Vector) -> None:
         """The velocities of free motions that there will be at the next observation if nothing disturbs the robot."""
@@ -80,33 +96,36 @@ class Disturbance:
         off = np.minimum(np.maximum(nu - self._expected, -most), most)
         self._felt[free] += FINDING * (inertia @ off)
 
-    def weigh(self, weight: Vector, push: Vector, free: Indices, motions: Vector) -> None:
+    def weigh(self, load: Vector, push: Vector, free: Indices, motions: Vector) -> None:
         """Looks for the cause of what is felt.
 
         Args:
-            weight: Of the model as generalised forces [N, N m], shape (nv,).
+            load: What the model's masses need, M vd + h [N, N m], shape (nv,).
             push: P, shape (axes, nv).
             free: As in `observe`.
             motions: N, shape (nv, n).
         """
         scale = self._scale[free]
-        hanging = motions.T @ weight
-        size = math.sqrt(hanging @ hanging) + LITTLE
-        causes = np.concatenate([hanging[None] / size, push[:, free]]) * scale
-        found = solved(causes @ causes.T + RIDGE**2 * np.eye(len(causes)), causes @ (self._felt[free] * scale))
-        share = float(found[0]) / size
-        if len(free) == self._pelvis:
-            share = min(share, 0.0)
+        felt, mass = self._felt[free] * scale, -(motions.T @ load) * scale
+        share, missed = 0.0, np.zeros(3)
+        for number, cause in enumerate((mass[None], push[:, free] * scale, self._turns[:, free] * scale)):
+            found = solved(cause @ cause.T + LITTLE * np.eye(len(cause)), cause @ felt)
+            off = felt - found @ cause
+            missed[number] = off @ off
+            share = share if number else min(max(float(found[0]), LIGHTEST), HEAVIEST)
+        self._missed += WEIGHING * self._step * (missed - self._missed)
+        if self._missed.argmin() != 0:
+            share = 0.0
         self.heavier += WEIGHING * self._step * (share - self.heavier)
 
-    def parts(self, weight: Vector, free: Indices, motions: Vector) -> tuple[Vector, Vector]:
-        """What disturbs the robot as generalised forces [N, N m], shape (nv,): by weight, and the rest.
+    def parts(self, load: Vector, free: Indices, motions: Vector) -> tuple[Vector, Vector]:
+        """What disturbs the robot as generalised forces [N, N m], shape (nv,): by its masses, and the rest.
 
         Args:
-            weight: Of the model [N, N m], shape (nv,).
+            load: As in `weigh`.
             free: As in `observe`.
             motions: N, shape (nv, n).
         """
-        more, rest = self.heavier * weight, np.zeros(len(weight))
+        more, rest = -self.heavier * load, np.zeros(len(load))
         rest[free] = self._felt[free] - motions.T @ more
         return more, rest

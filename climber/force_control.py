@@ -46,6 +46,7 @@ class Demand:
         most: What the motors can [N m], shape (motors,).
         drop: Share of friction that is to be left unused.
         press: How hard each foot is to press at least, if it can [N].
+        turn: Angle by which forces are to stay inside friction cones at least [rad].
     """
 
     wished: Vector
@@ -56,6 +57,7 @@ class Demand:
     most: Vector
     drop: float
     press: float
+    turn: float = 0.0
 
 
 class ForceControl:
@@ -74,8 +76,9 @@ class ForceControl:
     everything is a penalty there always is a solution, which exceeds a limit by its multiplier over its weight: less
     than a millinewton for what cannot be done, if forces within the limits exist.
 
-    The sum over c is over `LEVELS`, with S `DEARER` from one to the next: friction that is to be spared and cannot be
-    is taken from all feet alike, not from a light one until it slips.
+    Where forces are to stay inside the cones by an angle, d is for each foot the share that this comes to, or the given
+    one if that is more. The sum over c is over `LEVELS`, with S `DEARER` from one to the next: friction that is to be
+    spared and cannot be is taken from all feet alike, not from a light one until it slips.
 
     The program is convex, has a continuous gradient, and is quadratic but for the cones. Newton's method with the
     second derivatives of what is exceeded (semismooth, Qi and Sun 1993) and the best share of each step takes two or
@@ -99,6 +102,7 @@ class ForceControl:
         # Shares of friction that may be used, by level and foot, are the first less what is to be left of the second.
         self._friction = np.array([*np.ones_like(LEVELS), FULL])[:, None] * friction
         self._spared = np.array([*LEVELS, 0.0])[:, None] * friction
+        self._rough = np.maximum(friction, TINY)
         costs = [*(SPARED * DEARER**level for level in range(len(LEVELS))), LIMIT]  # of cones
         self._costs = np.repeat([*costs, SPARED, LIMIT], len(friction))
         self._pull = np.array([grips[k].adhesion for k in self._rubs])
@@ -170,7 +174,8 @@ class _Program:
             self._A = np.concatenate([self._A, control._gripping])
             self._c, self._most = np.append(self._c, 0.0 * control._moment), np.append(self._most, control._moment)
         self._press = max(demand.press, LEAST)
-        self._shares = control._friction - demand.drop * control._spared  # (levels, feet)
+        inside = np.tan(np.maximum(np.arctan(control._rough) - demand.turn, 0.0)) / control._rough
+        self._shares = control._friction - np.maximum(demand.drop, 1.0 - inside) * control._spared  # (levels, feet)
         self._ease = control._ease * self._readiness() ** 2
 
     @cached_property

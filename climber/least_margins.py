@@ -39,8 +39,12 @@ WORDS: dict[MarginKind, Words] = {
     "mass": Words("mass off", "mass off by {}", "%", 100.0),
     "center": Words("centre of mass off", "centre of mass off by {}", "mm", 1000.0, "m"),
     "place": Words("hold displaced", "one hold off by {}", "mm", 1000.0, "m"),
-    "normal": Words("normal turned", "one hold turned by {}", "deg", 180.0 / math.pi, "rad"),
+    "normal": Words("normals turned", "holds turned by {}", "deg", 180.0 / math.pi, "rad"),
 }
+
+
+# Friction and normals have no direction that is worst; they are as great as they are told from here on.
+MOST_OF: dict[MarginKind, float] = {"friction": 0.93, "normal": 0.186}
 
 
 def with_unit(kind: MarginKind, value: float, digits: int = 6) -> str:
@@ -74,7 +78,7 @@ class LeastMargin:
     def size(self) -> str:
         """The value as people read it."""
         # Where nothing is worst the value is as great as they are told.
-        most = self.direction is None and (self.kind != "friction" or self.value > 0.98)
+        most = self.direction is None and self.value > MOST_OF.get(self.kind, 0.0)
         return f"{'≥ ' if most else ''}{WORDS[self.kind].size(self.value, 3)}"
 
     @property
@@ -85,10 +89,6 @@ class LeastMargin:
         x, y, z = self.direction
         if self.kind == "mass":
             return "too light" if y > 0 or (y == 0 and z > 0) else "too heavy"
-        if self.kind == "normal":
-            if abs(z) > 0.999:
-                return "to the left" if z > 0 else "to the right"
-            return f"about ({x:.2f}, {y:.2f}, {z:.2f})"
         if abs(z) > 1e-3:
             return f"towards ({x:.2f}, {y:.2f}, {z:.2f})"
         return f"towards {math.degrees(math.atan2(y, x)) % 360.0:.0f} deg"

@@ -1,9 +1,10 @@
 """What the phases of a motion survive: less friction, pushes, wrong masses, holds out of place and turned.
 
-The motion stays what it is planned to be; contact forces and torques may be others, within all limits. Each margin is
-the greatest error of one kind alone that every sample of the phase survives in this sense. A margin is proved at all
-samples by forces that balance and keep to the limits. It is the greatest up to `programs.margins.GAP`, in space 10 %,
-but for `place`, see `programs.place_margin`. Greater margins than `CAPS` are not told apart.
+The motion stays what it is planned to be; contact forces and torques may be others, within all limits. What every
+sample of a phase survives in this sense of one kind alone is proved at all samples by forces that balance and keep to
+the limits. It is the greatest up to `programs.margins.GAP`, in space 10 %, but for `place`, see
+`programs.place_margin`. The margin is `KEPT` of it: a controller has to find such forces without being told, and feet
+that use all of their friction creep. Greater margins than `CAPS` are not told apart.
 """
 
 from __future__ import annotations
@@ -17,20 +18,21 @@ from climber.plan_parts import MARGIN_KINDS, MarginKind, PhaseMargin
 from climber.programs.grip_margins import ErrorMargin, FrictionError, NormalError
 from climber.programs.grips import wall_grips
 from climber.programs.margins import GAP, DisturbanceMargin, Worst
-from climber.programs.place_margin import CAP, PlaceMargin
+from climber.programs.place_margin import PlaceMargin
 from climber.programs.rays import rays
 from climber.robot import Robot
+from climber.scenario_fields import KEPT
 from climber.stance import Vector
 from climber.wall import Wall
 
 # friction and mass as shares, push [N], center and place [m], normal [rad]
 CAPS: dict[MarginKind, float] = {
-    "friction": 1.0,
-    "push": 1000.0,
-    "mass": 1.0,
-    "center": 1.0,
-    "place": CAP,
-    "normal": float(np.pi / 2),
+    "friction": KEPT,
+    "push": 1000.0 * KEPT,
+    "mass": KEPT,
+    "center": 0.02 * KEPT,
+    "place": 0.02 * KEPT,
+    "normal": 0.2 * KEPT,
 }
 SAFE = 1.0 - 1e-6  # for the rounding of who checks them
 
@@ -58,7 +60,7 @@ def phase_margins(
         places = [p for p, k in enumerate(counts) if k == count]
         several = _Several(PhaseInstants(robot, grips, [phases[p] for p in places]))
         for kind in kinds:
-            for p, margin in zip(places, several.margins(kind, caps[kind]), strict=True):
+            for p, margin in zip(places, several.margins(kind, caps[kind] / KEPT), strict=True):
                 result[p][kind] = margin
     return result
 
@@ -71,17 +73,12 @@ class _Several:
         self._limbs = phases.robot.limb_names
 
     def margins(self, kind: MarginKind, cap: float) -> list[PhaseMargin]:
-        """The margins of one kind."""
+        """The margins of one kind; errors beyond `cap` are not looked at."""
         phases, dimension = self._phases, self._phases.robot.dimension
         if kind == "friction":
-            slippery = FrictionError(phases.grips, phases.num_contacts, dimension, cap)
-            worst = ErrorMargin(phases.instants, slippery, phases.grips.most.shape[1]).solve()
-            return self._told(cap, worst, [None] * len(worst.value), [None] * len(worst.value))
+            return self._narrower(FrictionError(phases.grips, phases.num_contacts, dimension, cap))
         if kind == "normal":
-            error = NormalError(phases.grips, phases.num_contacts, dimension, cap)
-            worst = ErrorMargin(phases.instants, error, phases.grips.most.shape[1]).solve()
-            axes = [error.axis(p, int(w)) for p, w in enumerate(worst.which)]
-            return self._told(cap, worst, axes, [error.contact(int(w)) for w in worst.which])
+            return self._narrower(NormalError(phases.grips, phases.num_contacts, dimension, cap))
         if kind == "place":
             worst, toward = PlaceMargin(phases.instants, phases.lever, dimension, cap).solve()
             return self._told(cap, worst, list(toward), [int(w) for w in worst.which])
@@ -92,6 +89,11 @@ class _Several:
             toward = np.where(toward == 0.0, 1.0, toward)  # where neither is survived
             toward = toward * phases.robot.gravity / max(float(np.linalg.norm(phases.robot.gravity)), 1e-300)
         return self._told(cap, worst, list(toward), [None] * len(toward))
+
+    def _narrower(self, error: FrictionError) -> list[PhaseMargin]:
+        """The margins to an error that makes all cones narrower."""
+        worst = ErrorMargin(self._phases.instants, error).solve()
+        return self._told(error.cap, worst, [None] * len(worst.value), [None] * len(worst.value))
 
     def _told(
         self, cap: float, worst: Worst, directions: Sequence[Vector | None], contacts: Sequence[int | None]
@@ -105,7 +107,7 @@ class _Several:
             x, y, z = (0.0, 0.0, 0.0) if direction is None else np.pad(direction, (0, 3 - len(direction))).tolist()
             margins.append(
                 PhaseMargin(
-                    value=float(worst.value[p]) * SAFE,
+                    value=float(worst.value[p]) * KEPT * SAFE,
                     time=float(self._phases.time[worst.instant[p]]),
                     direction=None if direction is None else (x, y, z),
                     limb=None if contact is None else self._limbs[self._phases.limbs[p, contact]],

@@ -226,7 +226,8 @@ class PhaseInstants:
         J[:, :, :dimension] = self.dynamics.J.reshape(K, k, dimension, -1)
         momentum = self.pelvis[3:] @ self.dynamics.M  # [kg m] by the velocities, shape (K, 3, nv)
         gravity = self.robot.gravity
-        omega, able = np.zeros((K, k)), np.zeros((K, k), dtype=bool)
+        omega, most, hard = np.zeros((K, k)), np.zeros((K, k)), np.zeros((K, k, dimension))
+        hard[:, :, 0] = 1.0
         tight = np.zeros((K, k, self.instants.G.shape[1]))
         motors, rows = self._driven[self._limited], self.instants.G.shape[1] - 2 * int(self._limited.sum())
         for p, limbs in enumerate(self.limbs):
@@ -237,13 +238,17 @@ class PhaseInstants:
                     continue
                 out, along, z = momentum[here][:, :, v], J[here, i][:, :, v], self.foot_turns[here, i][:, :, v]
                 inverse = np.linalg.pinv(along[:, :dimension])  # how the joints follow, shape (K, joints, dimension)
-                able[here, i] = np.linalg.svd(along[:, :dimension], compute_uv=False)[:, -1] > 1e-6
+                ways, sizes, _ = np.linalg.svd(along[:, :dimension], full_matrices=False)
+                hard[here, i] = ways[:, :, -1]
                 pull = np.cross(out, gravity, axisa=1, axisc=1)[:, turning_axes]
                 omega[here, i] = np.maximum(np.linalg.norm(pull @ inverse, ord=2, axis=(1, 2)), 1e-6)
                 joint = np.arange(len(v))
                 inner, outer = np.minimum.outer(joint, joint), np.maximum.outer(joint, joint)
                 turned = np.cross(z[:, :, inner], along[:, :, outer], axis=1)  # d J / d q, (K, 3, joints, joints)
                 weighed = np.einsum("c,kcab->kab", gravity, np.cross(z[:, :, inner], out[:, :, outer], axis=1))
+                bent = np.sqrt((turned[:, :dimension] ** 2).sum(axis=(1, 2, 3)))
+                follows = np.where(sizes[:, -1] > 1e-6, sizes[:, -1] ** 2 / np.maximum(2.0 * bent, 1e-9), 0.0)
+                most[here, i] = np.minimum(follows, self.grips.width.reshape(-1, k)[p, i])
                 kappa = np.einsum("kcab,kbd->kacd", turned[:, :dimension], inverse)
                 kappa = np.linalg.norm(kappa, ord=2, axis=(2, 3))
                 nu = np.linalg.norm(weighed @ inverse, axis=2)
@@ -252,7 +257,7 @@ class PhaseInstants:
                     for place in np.flatnonzero(motors == motor):
                         tight[here, i, rows + place] = tight[here, i, rows + len(motors) + place] = lost[:, a]
         B = self.pelvis[turning_axes][:, self._free].T
-        return Lever(np.broadcast_to(B, (K, *B.shape)), omega, tight, able)
+        return Lever(np.broadcast_to(B, (K, *B.shape)), omega, tight, most, hard)
 
 
 def _crossed(a: Vector) -> Vector:

@@ -87,10 +87,10 @@ class PhaseMargin:
     Attributes:
         value: friction and mass: share by which it is less, or mass off either way; push: force on the pelvis at the
             robot's centre of mass [N]; center: displacement of the centre of mass, fixed to the pelvis [m]; place:
-            displacement of one hold [m]; normal: angle by which the normal of one hold is turned [rad].
+            displacement of one hold [m]; normal: angle by which normals of holds are turned, each its own way [rad].
         time: The plan's time of the sample where it is least [s].
         direction: Unit vector in W of the push or displacement that is worst there, gravity's or against it for mass
-            too great or small, the axis for a normal, shape (3,); None for friction.
+            too great or small, shape (3,); None for friction and normal.
         limb: The limb on the hold that is worst there; None for errors that are not of one hold.
     """
 

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from climber.exceptions import PlanFileError
-from climber.plan_parts import Phase, RobotPlan
+from climber.plan_parts import MarginKind, Phase, RobotPlan
 from climber.robot import Robot
+from climber.scenario_fields import KEPT
 from climber.stance import Vector
 
 BLEND = 0.15  # forces go over to those of the next phase in this time [s], or in a third of the phase if that is less
-SPARE = 0.7  # share of a phase's margin of friction that is left unused, more if the whole climb's is more
+# Errors that are not felt, so that forces are to do whatever they are: friction that is less, normals that are turned.
+SPARED: tuple[MarginKind, ...] = ("friction", "normal")
+SPARE = 0.7  # share of a phase's margins of these that forces keep to, more if the whole climb's are more
 LIGHTLY = 0.1  # share of its force that a foot has when it lets go, and when it has just taken hold
 
 
@@ -29,6 +32,7 @@ class Desired:
         force: Forces of the holds on the feet in W [N], shape (num_limbs, 3); zero for a limb that holds nothing.
         moment: Moments of the holds on the feet about z [N m], shape (num_limbs,).
         drop: Share of friction that is to be left unused.
+        turn: Angle by which forces are to stay inside friction cones [rad].
     """
 
     q: Vector
@@ -37,12 +41,13 @@ class Desired:
     force: Vector
     moment: Vector
     drop: float
+    turn: float
 
 
 class _Track:
     """One phase, columns in the robot's order."""
 
-    def __init__(self, phase: Phase, plan: RobotPlan, robot: Robot, least: float) -> None:
+    def __init__(self, phase: Phase, plan: RobotPlan, robot: Robot, least: Mapping[MarginKind, float]) -> None:
         self.phase = phase
         q = phase.q[:, [plan.positions.index(name) for name in robot.position_names]]
         moving = [plan.velocities.index(name) for name in robot.velocity_names]
@@ -53,8 +58,8 @@ class _Track:
             limb = limbs.index(contact.limb)
             force[:, limb] = phase.force[contact.limb]
             moment[:, limb] = phase.moment.get(contact.limb, 0.0)
-        drop = max(SPARE * _friction_margin(phase), least)
-        self.rows = np.hstack([q, v, vd, force.reshape(K, -1), moment, np.full((K, 1), drop)])
+        spared = [max(SPARE * _margin(phase, kind), least[kind]) for kind in SPARED]
+        self.rows = np.hstack([q, v, vd, force.reshape(K, -1), moment, np.tile(spared, (K, 1))])
         self.time: list[float] = phase.time.tolist()
         self.begin: float = self.time[0]
         self.end: float = self.time[-1]
@@ -93,7 +98,7 @@ class Reference:
                     f"are {list(own)}"
                 )
         self.plan, self.robot = plan, robot
-        least = min(_friction_margin(phase) for phase in plan.phases)
+        least = {kind: min(_margin(phase, kind) for phase in plan.phases) for kind in SPARED}
         self._tracks = [_Track(phase, plan, robot, least) for phase in plan.phases]
         self._nq, self._nv = len(robot.position_names), len(robot.velocity_names)
 
@@ -135,8 +140,8 @@ class Reference:
         if number + 1 < len(self._tracks) and time > track.end - blend and self._new(number, number + 1):
             after = self._tracks[number + 1].rows[0, nq + 2 * nv :]
             loads = after + max(_smooth((track.end - time) / blend), LIGHTLY) * (loads - after)
-        force, moment, drop = loads[: 3 * limbs].reshape(limbs, 3), loads[3 * limbs : -1], float(loads[-1])
-        return Desired(state[:nq], state[nq : nq + nv], state[nq + nv :], force, moment, drop)
+        force, moment, (drop, turn) = loads[: 3 * limbs].reshape(limbs, 3), loads[3 * limbs : -2], loads[-2:].tolist()
+        return Desired(state[:nq], state[nq : nq + nv], state[nq + nv :], force, moment, drop, turn)
 
     def _new(self, number: int, other: int) -> bool:
         """Whether a limb holds in one phase that does not in another."""
@@ -144,9 +149,9 @@ class Reference:
         return not limbs <= others
 
 
-def _friction_margin(phase: Phase) -> float:
-    """The share of friction that the phase is known to do without."""
-    return phase.margins["friction"].value if "friction" in phase.margins else 0.0
+def _margin(phase: Phase, kind: MarginKind) -> float:
+    """The error of a kind up to which there are contact forces throughout the phase."""
+    return phase.margins[kind].value / KEPT if kind in phase.margins else 0.0
 
 
 def _smooth(share: float) -> float:

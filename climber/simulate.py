@@ -87,17 +87,22 @@ class Survival:
 def certified(plan: Plan, perturbation: Perturbation) -> bool | None:
     """Whether the plan's margins say that a perturbation is survived; None if they say nothing of its kind.
 
-    Margins are of one error at a time, and of one hold out of place, where the simulation displaces all.
+    Margins are of one error at a time, and of one hold out of place; of all displaced at once they say nothing.
     """
     off: dict[MarginKind, float] = {
         "friction": max(0.0, 1.0 - perturbation.friction_scale),
         "mass": abs(perturbation.mass_scale - 1.0),
         "push": perturbation.push,
+        "center": perturbation.center_error,
+        "place": perturbation.hold_error,
+        "normal": perturbation.normal_error,
     }
     errors = {kind: size for kind, size in off.items() if size > 0.0}
     margins = least_margins(plan)
-    if len(errors) != 1 or perturbation.hold_error > 0.0 or not set(errors) <= set(margins):
-        return True if not errors and perturbation.hold_error == 0.0 and margins else None
+    if not errors:
+        return True if margins else None
+    if len(errors) > 1 or not set(errors) <= set(margins) or (errors.keys() == {"place"} and perturbation.hold is None):
+        return None
     return all(size <= margins[kind] for kind, size in errors.items())
 
 

@@ -8,6 +8,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -67,6 +68,25 @@ def add_simulate_command(commands: Any) -> argparse.ArgumentParser:
         metavar="N",
         help="pushes at the centre of mass, in a direction drawn at random [N]",
     )
+    parser.add_argument(
+        "--center-error",
+        type=float,
+        nargs="+",
+        default=[0.0],
+        metavar="M",
+        help="centres of mass are off by this, in a direction drawn at random [m]",
+    )
+    parser.add_argument(
+        "--normal-error",
+        type=float,
+        nargs="+",
+        default=[0.0],
+        metavar="DEG",
+        help="normals of holds are turned at random by up to this [deg]",
+    )
+    parser.add_argument(
+        "--hold", type=int, metavar="K", help="only this hold is off or turned, by as much as the options say"
+    )
     parser.add_argument("--slip-limit", type=float, default=SLIP_LIMIT, metavar="M", help="for a holding foot [m]")
     parser.add_argument("--runs", type=int, default=1, metavar="N", help="seeds to try each combination with")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="the first of them")
@@ -109,19 +129,51 @@ def _perturbations(options: argparse.Namespace) -> list[Perturbation]:
     """Every combination of what is asked for, checked."""
     start = options.start_error or [START_ERROR if options.runs > 1 else 0.0]
     scales = {"--friction-scale": options.friction_scale, "--mass-scale": options.mass_scale}
-    sizes = {"--hold-error": options.hold_error, "--start-error": start, "--push": options.push}
+    sizes = {
+        "--hold-error": options.hold_error,
+        "--start-error": start,
+        "--push": options.push,
+        "--center-error": options.center_error,
+        "--normal-error": options.normal_error,
+    }
     for name, values in scales.items():
         for value in values:
             check_scale(name, value)
     for name, values in {**sizes, "--slip-limit": [options.slip_limit]}.items():
         for value in values:
             check_size(name, value)
-    counts = {"--runs": (options.runs, 1), "--seed": (options.seed, 0), "--processes": (options.processes, 1)}
+    counts = {
+        "--runs": (options.runs, 1),
+        "--seed": (options.seed, 0),
+        "--processes": (options.processes, 1),
+        "--hold": (options.hold, 0),
+    }
     for name, (count, least) in counts.items():
         if count is not None:
             check_count(name, count, least)
-    every = product(options.friction_scale, options.mass_scale, options.hold_error, start, options.push)
-    return [Perturbation(*values, seed=options.seed) for values in every]
+    every = product(
+        options.friction_scale,
+        options.mass_scale,
+        options.hold_error,
+        start,
+        options.push,
+        options.center_error,
+        np.radians(options.normal_error).tolist(),
+    )
+    return [
+        Perturbation(
+            friction_scale=friction,
+            mass_scale=mass,
+            hold_error=away,
+            start_error=astray,
+            push=push,
+            seed=options.seed,
+            normal_error=turn,
+            center_error=center,
+            hold=options.hold,
+        )
+        for friction, mass, away, astray, push, center, turn in every
+    ]
 
 
 def _page(plan: Plan, run: Simulation, folder: Path) -> Path:
@@ -182,12 +234,15 @@ def _tell(console: Console, run: Simulation) -> None:
 
 def _worded(perturbation: Perturbation) -> str:
     """What is not as planned."""
+    what = "holds" if perturbation.hold is None else f"hold {perturbation.hold}"
     words = {
         f"friction x {perturbation.friction_scale:g}": perturbation.friction_scale != 1.0,
         f"mass x {perturbation.mass_scale:g}": perturbation.mass_scale != 1.0,
-        f"holds off {1e3 * perturbation.hold_error:g} mm": perturbation.hold_error > 0.0,
+        f"{what} off {1e3 * perturbation.hold_error:g} mm": perturbation.hold_error > 0.0,
         f"start off {1e3 * perturbation.start_error:g} mm": perturbation.start_error > 0.0,
         f"push {perturbation.push:g} N": perturbation.push > 0.0,
+        f"centre of mass off {1e3 * perturbation.center_error:g} mm": perturbation.center_error > 0.0,
+        f"{what} turned {np.degrees(perturbation.normal_error):g} deg": perturbation.normal_error > 0.0,
     }
     return ", ".join(word for word, said in words.items() if said) or "none"
 

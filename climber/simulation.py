@@ -55,8 +55,13 @@ class Perturbation:
         start_error: Pelvises start displaced at random by up to this much [m], and turned by up to ten times as many
             radians.
         push: Each robot's pelvis is pushed with this force [N] at the robot's centre of mass, always the same way.
-        direction: Which way, in W, shape (3,); drawn at random if None.
+        direction: Which way, in W, shape (3,): of the push, of the displacement of centres of mass or holds, or the
+            axis that normals turn about; drawn at random if None.
         seed: Of what is random.
+        normal_error: Normals of holds are turned at random by up to this much [rad].
+        center_error: Robots' centres of mass are displaced by this much [m], fixed to the pelvises.
+        hold: The only hold that is displaced or turned, and by just as much; all are if None, by up to as much unless
+            `direction` says which way.
     """
 
     friction_scale: float = 1.0
@@ -66,31 +71,54 @@ class Perturbation:
     push: float = 0.0
     direction: tuple[float, float, float] | None = None
     seed: int = 0
+    normal_error: float = 0.0
+    center_error: float = 0.0
+    hold: int | None = None
 
     def __post_init__(self) -> None:
         """Refuses what no world can be like, and Drake might not survive."""
         for name in ("friction_scale", "mass_scale"):
             check_scale(name, getattr(self, name))
-        for name in ("hold_error", "start_error", "push"):
+        for name in ("hold_error", "start_error", "push", "normal_error", "center_error"):
             check_size(name, getattr(self, name))
         check_count("seed", self.seed, 0)
 
-    def pushed(self, rng: np.random.Generator, dimension: int) -> Vector:
-        """The push on a robot that moves in as many axes [N], shape (dimension,)."""
-        direction = on_sphere(rng, dimension) if self.direction is None else np.array(self.direction[:dimension])
-        result: Vector = self.push * direction
-        return result
+    def toward(self, rng: np.random.Generator, dimension: int) -> Vector:
+        """Which way a robot that moves in as many axes is disturbed, shape (dimension,)."""
+        return on_sphere(rng, dimension) if self.direction is None else np.array(self.direction[:dimension])
 
     def wall(self, wall: Wall, dimension: int) -> Wall:
-        """The wall as it really is; holds are displaced in as many axes as robots move in."""
-        rng = np.random.default_rng([self.seed, 0])
+        """The wall as it really is; holds are off in as many axes as robots move in.
+
+        Raises:
+            ClimberError: If there is no such hold as the one that is to be off.
+        """
+        if self.hold is not None and not 0 <= self.hold < len(wall.holds):
+            raise ClimberError(f"hold: given {self.hold}; allowed: 0 to {len(wall.holds) - 1}")
+        moves, turns = (np.random.default_rng([self.seed, stream]) for stream in (0, 2))
         holds = []
-        for hold in wall.holds:
-            position = np.array(hold.position)
-            position[:dimension] += self.hold_error * in_ball(rng, dimension)
+        for number, hold in enumerate(wall.holds):
+            away, turn = self._off(moves, dimension), self._off(turns, dimension - 1)
+            place, normal = np.array(hold.position), np.array(hold.normal)
+            # Normals turn about axes across them, in the plane about z.
+            across = np.array([np.cross(wall.tangents[number], normal), wall.tangents[number]])
+            axis = turn @ across[: dimension - 1] if self.direction is None else np.array(self.direction)
+            angle = self.normal_error * float(np.linalg.norm(axis))
+            if self.hold in (None, number):
+                place[:dimension] += self.hold_error * away
+                if angle > 0.0:
+                    along = np.cross(axis, normal) / np.linalg.norm(axis)
+                    normal = np.cos(angle) * normal + np.sin(angle) * along
             friction = self.friction_scale * hold.friction
-            holds.append(replace(hold, position=tuple(position.tolist()), friction=friction))
+            position, out = tuple(place.tolist()), tuple(normal.tolist())
+            holds.append(replace(hold, position=position, normal=out, friction=friction))
         return replace(wall, holds=tuple(holds))
+
+    def _off(self, rng: np.random.Generator, dimension: int) -> Vector:
+        """By how much, and which way, a hold is off, in sizes of the error, shape (dimension,)."""
+        if self.direction is not None:
+            return np.array(self.direction[:dimension])
+        return in_ball(rng, dimension) if self.hold is None else on_sphere(rng, dimension)
 
 
 def on_sphere(rng: np.random.Generator, dimension: int) -> Vector:

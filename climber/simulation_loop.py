@@ -89,17 +89,21 @@ class Loop:
         self.world = World(wall, robots, sorted(pins, key=str), time_step, perturbation.mass_scale)
         controllers = [Controller(reference, setting.wall, time_step) for reference in setting.references]
         self.watches = [Watch(i, controller, self.world) for i, controller in enumerate(controllers)]
-        self._heavier = perturbation.mass_scale - 1.0
+        self._heavier = perturbation.mass_scale != 1.0 or perturbation.center_error > 0.0
         self._growing = GROWING if perturbation.push or self._heavier else 0.0
         self._end, self.clock = max(controller.last for controller in controllers), controllers[0].begin
         self.elapsed, self._quicker, self._stood, self._over = 0.0, 0.0, 0.0, 0.0
         self._rate = 0.0 if self._growing else 1.0
         rng = np.random.default_rng([perturbation.seed, 1])
-        self._pushes = [perturbation.pushed(rng, robot.dimension) for robot in robots]
+        ways = [perturbation.toward(rng, robot.dimension) for robot in robots]
+        self._pushes = [perturbation.push * way for way in ways]
         postures = [self._posture(watch, perturbation.start_error, rng) for watch in self.watches]
         self.world.place(postures)
         for controller, q in zip(controllers, postures, strict=True):
             controller.start(q)
+        if perturbation.center_error > 0.0:
+            for number, way in enumerate(ways):
+                self.world.displace_center(number, perturbation.center_error * np.pad(way, (0, 3 - len(way))))
         self._touch_all()
 
     def _touch(self, robot: int, limb: int, hold: int, point: Vector) -> Touch:
@@ -162,7 +166,7 @@ class Loop:
                 watch.record(self.elapsed, q, v, command)
         world.step(
             [
-                command.applied + self._disturbed(watch.controller, push)
+                command.applied + self._disturbed(watch, push)
                 for watch, command, push in zip(self.watches, commands, self._pushes, strict=True)
             ]
         )
@@ -171,12 +175,14 @@ class Loop:
             watch.look(self.elapsed, command)
         self._tick()
 
-    def _disturbed(self, controller: Controller, push: Vector) -> Vector:
-        """The push on a robot, and the hand that still carries what it is too heavy, shape (nv,)."""
+    def _disturbed(self, watch: Watch, push: Vector) -> Vector:
+        """The push on a robot, and the hand that still carries what its weight is not the model's, shape (nv,)."""
+        controller = watch.controller
         if not self._growing:
             return np.zeros(len(controller.robot.velocity_names))
         grown = min(self.elapsed / GROWING, 1.0)
-        return controller.pushed(grown * push) - (1.0 - grown) * self._heavier * controller.weight
+        more = self.world.weight(watch.number) - controller.weight if self._heavier and grown < 1.0 else 0.0
+        return controller.pushed(grown * push) - (1.0 - grown) * more
 
     def _toward(self, watch: Watch) -> float:
         """How a limb that ended its swing off its hold has to go on: 1 towards it, -1 out of it, less when near."""

@@ -173,6 +173,26 @@ class World:
                 scaled = SpatialInertia(scale * inertia.get_mass(), inertia.get_com(), inertia.get_unit_inertia())
                 body.SetSpatialInertiaInBodyFrame(self.context, scaled)
 
+    def displace_center(self, robot: int, displacement: Vector) -> None:
+        """Displaces a robot's centre of mass in W as it stands [m], shape (3,), fixed to its pelvis from then on.
+
+        The pelvis's body moves, as heavy as it is, so far that the whole robot's centre does by that much.
+        """
+        name = self.robots[robot].pelvis.name()
+        pelvis = self.plant.GetBodyByName(name, self._instances[robot])
+        inertia = pelvis.CalcSpatialInertiaInBodyFrame(self.context)
+        mass, whole = inertia.get_mass(), self.plant.CalcTotalMass(self.context, [self._instances[robot]])
+        turned = pelvis.EvalPoseInWorld(self.context).rotation().inverse().multiply(displacement)
+        center = inertia.get_com() + whole / mass * turned
+        about_center = inertia.get_unit_inertia().ShiftToCenterOfMass(inertia.get_com())
+        displaced = SpatialInertia(mass, center, about_center.ShiftFromCenterOfMass(center))
+        pelvis.SetSpatialInertiaInBodyFrame(self.context, displaced)
+
+    def weight(self, robot: int) -> Vector:
+        """A robot's weight as generalised forces [N, N m], as in its own plant, shape (nv,)."""
+        every = self.plant.CalcGravityGeneralizedForces(self.context)
+        return np.asarray(every[self._v[robot]])
+
     def _places(self, names: Sequence[str], robot: int, *, positions: bool) -> Vector:
         """Where a robot's positions or velocities, named as in its own plant, are in this one."""
         instance = self._instances[robot]

@@ -97,8 +97,7 @@ class PhaseNeeds:
             if error.kind == "friction":
                 gives = tuple(give.slippery(error.size) for give in gives)
             elif error.kind == "normal":
-                turned = gives[error.contact].turned(error.direction, error.size)
-                gives = tuple(turned if i == error.contact else give for i, give in enumerate(gives))
+                gives = tuple(give.turned(error.size) for give in gives)
             elif error.kind == "mass":
                 down = float(np.sign(error.direction @ mechanics.gravity))
                 load = load + down * error.size * mechanics.heavier[span]

@@ -29,26 +29,28 @@ from climber.verify_rules import MARGIN
 from climber.verify_survival import Need, shortages
 from climber.wall import Wall
 
-AROUND = 8  # directions in a plane
-# By which share, and by how much in its own unit, a margin may be less than the greatest: in the plane and in space.
-SHORT = {2: 0.03, 3: 0.12}
+# By which share, and by how much in its own unit, a margin may be less than what forces can do, of which it is 95 % at
+# the most: in the plane and in space.
+SHORT = {2: 0.085, 3: 0.18}
 SMALLEST = 1e-4
 NARROW = 0.02  # share of friction that a planner may leave unused which fits pyramids into cones in space
 UNSURVIVED = 1e-8  # [N, N m] what must be lacking at a greater error
 TIME = 1e-5  # [s] the same instant
 UNIT = 1e-6  # of unit vectors
+ALIKE: tuple[MarginKind, ...] = ("friction", "normal")  # errors of all holds, which have no direction
+AROUND = np.array([(np.cos(a), np.sin(a), 0.0) for a in 2.0 * np.pi * (np.arange(8) + 0.5) / 8])
 EVERYWHERE = np.array(
     [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], dtype=float
 )
 EVERYWHERE /= np.linalg.norm(EVERYWHERE, axis=1, keepdims=True)
 # Greater margins than these are given as these: shares, N, m, rad.
 MOST: dict[MarginKind, float] = {
-    "friction": 1.0,
-    "push": 1000.0,
-    "mass": 1.0,
-    "center": 1.0,
-    "place": 0.02,
-    "normal": np.pi / 2,
+    "friction": 0.95,
+    "push": 950.0,
+    "mass": 0.95,
+    "center": 0.019,
+    "place": 0.019,
+    "normal": 0.19,
 }
 
 
@@ -118,30 +120,28 @@ class MarginChecks:
                 yield f"{at}: t = {margin.time:.4f} s is no sample of the phase"
             if margin.value > MOST[kind]:
                 yield f"{at}: {margin.value:g} is greater than {MOST[kind]:g}, beyond which margins are not told"
-            told = kind != "friction" and not self._open(kind, margin)
+            narrowest = min(self._wall.holds[contact.hold].half_width for contact in phase.contacts)
+            if kind == "place" and margin.value > narrowest:
+                yield f"{at}: {margin.value:g} is greater than half the width of a patch, {narrowest:g}"
+            told = kind not in ALIKE and not self._open(kind, margin)
             if not told and margin.direction is None and margin.limb is None:
                 continue
-            if (margin.limb is not None) != (kind in ("place", "normal")) or margin.limb not in {None, *limbs}:
+            if (margin.limb is not None) != (kind == "place") or margin.limb not in {None, *limbs}:
                 yield f"{at}: {margin.limb or 'no limb'} is named as the limb of the hold"
-            elif kind == "friction":
+            elif kind in ALIKE:
                 yield f"{at}: it has no direction"
             elif margin.direction is None or abs(float(np.linalg.norm(margin.direction)) - 1.0) > UNIT:
                 yield f"{at}: a unit direction is expected"
-            elif self._sideways(phase, kind, margin) > UNIT:
+            elif self._sideways(kind, margin) > UNIT:
                 yield f"{at}: errors of this kind have no such direction"
 
-    def _sideways(self, phase: Phase, kind: MarginKind, margin: PhaseMargin) -> float:
+    def _sideways(self, kind: MarginKind, margin: PhaseMargin) -> float:
         """How far the direction of a margin is from those that errors of its kind have, as the sine of an angle."""
         direction = np.array(margin.direction)
         if kind == "mass":
             gravity = self._wall.gravity / np.linalg.norm(self._wall.gravity)
             return float(np.linalg.norm(np.cross(gravity, direction)))
-        if self._planar:
-            return float(np.linalg.norm(direction[:2] if kind == "normal" else direction[2:]))
-        if kind == "normal":
-            (hold,) = (contact.hold for contact in phase.contacts if contact.limb == margin.limb)
-            return abs(float(self._wall.normals[hold] @ direction))
-        return 0.0
+        return float(abs(direction[2])) if self._planar else 0.0
 
     def _open(self, kind: MarginKind, margin: PhaseMargin) -> bool:
         """Whether a margin is as great as they come, so that nothing is known of a worst case."""
@@ -151,12 +151,12 @@ class MarginChecks:
         """The errors that a phase claims to survive."""
         phase = self._plan.phases[number]
         gravity = self._wall.gravity / np.linalg.norm(self._wall.gravity)
-        around = self._around(np.array([0.0, 0.0, 1.0])) if self._planar else EVERYWHERE
+        around = AROUND if self._planar else EVERYWHERE
         for kind in MARGIN_KINDS:
             size = phase.margins[kind].value
             if size == 0.0:  # nothing is claimed
                 continue
-            if kind == "friction":
+            if kind in ALIKE:
                 yield Error(kind, size, np.zeros(3))
             elif kind == "mass":
                 yield from (Error(kind, size, sign * gravity) for sign in (1.0, -1.0))
@@ -165,26 +165,14 @@ class MarginChecks:
                 yield from (Error(kind, size, direction) for direction in [*around, *named])
             else:
                 for i, contact in enumerate(phase.contacts):
-                    normal = self._wall.normals[contact.hold]
-                    axes = self._around(normal) if kind == "normal" else around
-                    if kind == "normal" and self._planar:
-                        axes = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
-                    if contact.limb == phase.margins[kind].limb:
-                        axes = np.array([*axes, *self._named(phase.margins[kind])])
-                    yield from (Error(kind, size, axis, i) for axis in axes)
+                    worst = self._named(phase.margins[kind]) if contact.limb == phase.margins[kind].limb else []
+                    yield from (Error(kind, size, direction, i) for direction in [*around, *worst])
 
     def _named(self, margin: PhaseMargin) -> list[Vector]:
         """The unit direction that a margin names as the worst, if it names one."""
         if margin.direction is None:
             return []
         return [np.array(margin.direction) / max(float(np.linalg.norm(margin.direction)), 1e-9)]
-
-    def _around(self, normal: Vector) -> Vector:
-        """Unit vectors across `normal`, and for robots in space along it if it is z, shape (D, 3)."""
-        across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-        across /= np.linalg.norm(across)
-        angle = 2.0 * np.pi * (np.arange(AROUND) + 0.5) / AROUND
-        return np.asarray(np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(normal, across))
 
     def _settle(self) -> None:
         """Finds forces well inside the limits at some samples of each phase, and between them by interpolation."""

@@ -60,14 +60,9 @@ class Give:
         """With friction less by a share."""
         return replace(self, friction=(1.0 - drop) * self.friction)
 
-    def turned(self, axis: Vector, angle: float) -> Give:
-        """With the normal turned."""
-        if self.pin:
-            return self
-        x, y, z = axis
-        K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        R = np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K
-        return replace(self, normal=R @ self.normal, tangents=self.tangents @ R.T)
+    def turned(self, angle: float) -> Give:
+        """What it gives whichever way its normal is turned by up to an angle: forces so far inside the cone's edges."""
+        return replace(self, friction=float(np.tan(np.arctan(self.friction) - angle)))
 
     def excess(self, f: Vector) -> Vector:
         """By how much forces (K, 3) are not given [N], shape (K,); negative inside."""

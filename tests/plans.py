@@ -13,15 +13,16 @@ from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import cvxpy
 import numpy as np
 from movers import LIMBS, Climber, Line, step_phases
 
+from climber.least_margins import least_by_kind
 from climber.margins import phase_margins
 from climber.plan_file import Plan
-from climber.plan_parts import Achieved, Cut, Phase, RobotPlan
+from climber.plan_parts import Achieved, Cut, MarginKind, Phase, RobotPlan
 from climber.robot import Model, Robot
 from climber.scenario import scenario_from_text
 from climber.simulation import Perturbation
@@ -273,6 +274,11 @@ def plus(amount: float) -> Callable[[float], float]:
     return lambda value: value + amount
 
 
+def times(factor: float) -> Callable[[float], float]:
+    """A change of a number by a factor."""
+    return lambda value: value * factor
+
+
 def told(old: str, new: str) -> Callable[[str], str]:
     """A change of the scenario's text."""
 
@@ -283,23 +289,46 @@ def told(old: str, new: str) -> Callable[[str], str]:
     return change
 
 
-def just_within(plan: Plan, kind: str, seed: int) -> Perturbation:
-    """98 % of the least margin of friction that a plan has, or 95 % of that of pushes or of mass.
+ERRORS = (
+    "friction",
+    "push",
+    "worst push",
+    "opposite push",
+    "heavier",
+    "lighter",
+    "center",
+    "worst center",
+    "worst place",
+    "opposite place",
+    "normals",
+)
+
+
+def just_within(plan: Plan, error: str, seed: int) -> Perturbation:
+    """An error as great as the plan of a single robot is certified to survive.
 
     Args:
         plan: The plan.
-        kind: "friction", "push" (in a direction drawn at random), "worst push" (in the direction that the margin says
-            is worst), "opposite push", "heavier" or "lighter".
+        error: One of `ERRORS`: the kind of error, and its direction if that is not drawn at random.
         seed: Of what is random.
     """
-    margins = [phase.margins for robot in plan.robots for phase in robot.phases]
-    friction, push, mass = (
-        min((m[name] for m in margins), key=lambda margin: margin.value) for name in ("friction", "push", "mass")
-    )
-    if kind == "friction":
-        return Perturbation(friction_scale=1.0 - 0.98 * friction.value, seed=seed)
-    if kind in ("heavier", "lighter"):
-        return Perturbation(mass_scale=1.0 + (0.95 if kind == "heavier" else -0.95) * mass.value, seed=seed)
-    x, y, z = push.direction or (1.0, 0.0, 0.0)
-    ways = {"push": None, "worst push": (x, y, z), "opposite push": (-x, -y, -z)}
-    return Perturbation(push=0.95 * push.value, direction=ways[kind], seed=seed)
+    (robot,) = plan.robots
+    least = {margin.kind: margin for margin in least_by_kind(robot)}
+    kinds: dict[str, MarginKind] = {"heavier": "mass", "lighter": "mass", "normals": "normal"}
+    way, _, name = error.rpartition(" ")
+    margin = least[kinds.get(name) or cast("MarginKind", name)]
+    size = margin.value * (1.0 - 1e-9)
+    x, y, z = margin.direction or (1.0, 0.0, 0.0)
+    direction = {"": None, "worst": (x, y, z), "opposite": (-x, -y, -z)}[way]
+    if name == "friction":
+        return Perturbation(friction_scale=1.0 - size, seed=seed)
+    if margin.kind == "mass":
+        return Perturbation(mass_scale=1.0 + (size if name == "heavier" else -size), seed=seed)
+    if name == "normals":
+        return Perturbation(normal_error=size, seed=seed)
+    if name == "center":
+        return Perturbation(center_error=size, direction=direction, seed=seed)
+    if name == "push":
+        return Perturbation(push=size, direction=direction, seed=seed)
+    (hold,) = (contact.hold for contact in robot.phases[margin.phase].contacts if contact.limb == margin.limb)
+    return Perturbation(hold_error=size, direction=direction, seed=seed, hold=hold)

@@ -29,7 +29,7 @@ DEAR = ("team", "waypoint", "wider", "random_100", "obstacle")
 # Up to a minute for one plan, and half of one to climb it: climbed once.
 SPACE = ("board", "lemur_chimney", "lemur_corner", "lemur_overhang", "lemur_slab", "lemur_vertical")
 PLANAR = [name for name in packaged_scenarios() if name not in (*ELSEWHERE, *DEAR, *SPACE)]
-ERRORS = ("friction", "worst push", "heavier", "lighter", "push")
+ERRORS = ("normals", "worst push", "heavier", "lighter", "worst center")
 START_ERROR = 0.001  # [m]
 
 

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from plans import STEP, edited, just_within, step_plan, still_plan
+from plans import ERRORS, STEP, edited, just_within, step_plan, still_plan
+from stored import planned
 
 from climber import simulation_model
 from climber.cli import main
@@ -237,21 +238,50 @@ def test_a_heavier_robot_is_still_on_its_plan():
     assert max(robot.torque.values()) > max(stepped().robots[0].torque.values())
 
 
-@given(
-    kind=st.sampled_from(["friction", "push", "worst push", "opposite push", "heavier", "lighter"]),
-    seed=st.integers(0, 10**6),
-)
-@example(kind="friction", seed=0)
-@example(kind="worst push", seed=0)
-@example(kind="heavier", seed=0)
-@example(kind="lighter", seed=0)
+@given(name=st.sampled_from(["step", "three_limbed"]), error=st.sampled_from(ERRORS), seed=st.integers(0, 10**6))
+@example(name="three_limbed", error="friction", seed=0)
+@example(name="three_limbed", error="lighter", seed=0)
+@example(name="step", error="worst push", seed=0)
+@example(name="step", error="worst center", seed=0)
+@example(name="step", error="worst place", seed=0)
+@example(name="three_limbed", error="normals", seed=0)
 @settings(max_examples=4, deadline=None)
-def test_what_the_margins_certify_is_survived(kind, seed):
-    plan = step_plan()
-    error = just_within(plan, kind, seed)
-    assert certified(plan, error)
-    simulation = simulate(plan, error)
-    assert simulation.ok, (kind, seed, simulation.slip, simulation.robots[0].fell)
+def test_what_the_margins_certify_is_survived(name, error, seed):
+    plan = step_plan() if name == "step" else planned(name)
+    perturbation = just_within(plan, error, seed)
+    assert certified(plan, perturbation)
+    simulation = simulate(plan, perturbation)
+    assert simulation.ok, (simulation.slip, simulation.robots[0].fell)
+
+
+def test_holds_are_displaced_and_turned_by_as_much_as_is_said():
+    wall = Wall(tuple(Hold((0.1 * k, 0.0, 0.0), turned(0.3 * k), 0.6) for k in range(4)))
+    for dimension in (2, 3):
+        every = Perturbation(hold_error=0.01, normal_error=0.2, seed=2).wall(wall, dimension)
+        moved = np.linalg.norm(every.positions - wall.positions, axis=1)
+        tilt = np.arccos((every.normals * wall.normals).sum(axis=1))
+        assert (0.0 < moved).all() and (moved <= 0.01).all() and (0.0 < tilt).all() and (tilt <= 0.2).all()
+        one = Perturbation(hold_error=0.01, normal_error=0.2, seed=2, hold=1).wall(wall, dimension)
+        moved = np.linalg.norm(one.positions - wall.positions, axis=1)
+        tilt = np.arccos(np.minimum((one.normals * wall.normals).sum(axis=1), 1.0))
+        np.testing.assert_allclose(moved, [0.0, 0.01, 0.0, 0.0], atol=1e-12)
+        np.testing.assert_allclose(tilt, [0.0, 0.2, 0.0, 0.0], atol=1e-7)
+    told = Perturbation(normal_error=0.2, direction=(0.0, 0.0, 1.0)).wall(wall, 2)
+    np.testing.assert_allclose(told.normals, [turned(0.3 * k + 0.2) for k in range(4)], atol=1e-12)
+    with pytest.raises(ClimberError, match="hold: given 4; allowed: 0 to 3"):
+        Perturbation(hold_error=0.01, hold=4).wall(wall, 2)
+
+
+def test_a_centre_of_mass_is_off_by_as_much_as_is_said_and_no_heavier(body):
+    wall = Wall((Hold(ORIGIN, (0.0, 1.0, 0.0), 0.6),))
+    world = World(wall, [Robot(body, wall.gravity)], [], TIME_STEP)
+    world.place([np.array([0.1, 0.2, 0.5])])
+    before = world.plant.CalcCenterOfMassPositionInWorld(world.context)
+    weight = world.weight(0)
+    world.displace_center(0, np.array([0.01, 0.02, 0.0]))
+    after = world.plant.CalcCenterOfMassPositionInWorld(world.context)
+    np.testing.assert_allclose(after - before, [0.01, 0.02, 0.0], atol=1e-12)
+    np.testing.assert_allclose(world.weight(0) - weight, [0.0, 0.0, -9.81 * 0.01], atol=1e-3)
 
 
 def test_margins_certify_one_error_at_a_time():
@@ -261,6 +291,9 @@ def test_margins_certify_one_error_at_a_time():
     assert certified(plan, Perturbation(mass_scale=1.0 - 1.1 * least["mass"])) is False
     assert certified(plan, Perturbation(start_error=0.001)) is True
     assert certified(plan, Perturbation(push=0.1, mass_scale=1.01)) is None
+    assert certified(plan, Perturbation(center_error=0.9 * least["center"])) is True
+    assert certified(plan, Perturbation(normal_error=1.1 * least["normal"])) is False
+    assert certified(plan, Perturbation(hold_error=0.9 * least["place"], hold=1)) is True
     assert certified(plan, Perturbation(hold_error=0.001)) is None
 
 
@@ -356,6 +389,9 @@ def test_the_command_counts_who_comes_through(file, capsys):
         ("--hold-error", "nan"),
         ("--start-error", "-0.001"),
         ("--push", "-1"),
+        ("--center-error", "nan"),
+        ("--normal-error", "-1"),
+        ("--hold", "-1"),
         ("--slip-limit", "inf"),
         ("--runs", "0"),
         ("--seed", "-1"),

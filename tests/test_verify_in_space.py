@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plans import LIMBS, PHASE, QUADRUPED, edited, failing, plus, retold, step_plan, told, with_margins
+from plans import LIMBS, PHASE, QUADRUPED, edited, failing, plus, retold, step_plan, times, told, with_margins
 from plans_space import LEMUR, climb_plan
 
 from climber.exceptions import ModelError, PlanFileError
@@ -88,9 +88,9 @@ def test_a_pin_that_takes_moments_beside_holds_that_take_none_makes_no_margin_le
 
 def test_errors_are_tried_in_the_direction_that_is_named_too() -> None:
     """It is that of the worst case, between the directions all around."""
-    normal = f"{PHASE}/1/margins/normal"
-    too_much = Plan.from_json(edited(climb_plan(), f"{normal}/value", lambda value: 1.1 * value), "plan")
-    elsewhere = Plan.from_json(edited(too_much, f"{normal}/direction", lambda axis: [-a for a in axis]), "plan")
+    push = f"{PHASE}/1/margins/push"
+    too_much = Plan.from_json(edited(climb_plan(), f"{push}/value", times(1.15)), "plan")
+    elsewhere = Plan.from_json(edited(too_much, f"{push}/direction", lambda way: [-a for a in way]), "plan")
     named, others = (verify(plan)["margins"].worst for plan in (too_much, elsewhere))
     assert named is not None and others is not None
     assert named > 1.2 * others

@@ -1,4 +1,4 @@
-"""What holds can push with as rows of inequalities on contact forces, and how the rows change with a hold's errors.
+"""What holds can push with as rows of inequalities on contact forces, and how the rows change with holds' errors.
 
 With the unit normal n, friction mu, and the least and greatest normal force lo and hi that belong to the limits along
 the edges of the cone (lo = 2 min_force cos(atan mu), hi likewise), a hold pushes with f, whose part along the hold is
@@ -7,10 +7,11 @@ f_t, if
     |f_t| <= chi mu (n.f - lo),   |f_t| <= chi mu (hi - n.f)
 
 where chi = 1; a drop of friction by d has chi = 1 - d and leaves lo and hi as they are, so that less friction never
-allows a force that more does not. For a magnet f is the force plus the adhesion into the hold. In a plane that contains
-n this is the parallelogram of Gönen 2021, eqs. 4.8 to 4.11. In space the round |f_t| <= r is replaced by a polygon
-inside it, so that what the rows allow can really be done. A pin pushes with up to `max_force` along each axis of W and
-knows neither friction nor normal.
+allows a force that more does not. Forces that do whichever way the normal is turned by up to e, for who does not know
+of it, are at an angle of at most atan(mu) - e from n: chi = tan(atan(mu) - e) / mu. For a magnet f is the force plus
+the adhesion into the hold. In a plane that contains n this is the parallelogram of Gönen 2021, eqs. 4.8 to 4.11. In
+space the round |f_t| <= r is replaced by a polygon inside it, so that what the rows allow can really be done. A pin
+pushes with up to `max_force` along each axis of W and knows neither friction nor normal.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class Grips:
         along: What friction adds, shape (k, R, 3).
         most: [N], shape (k, R).
         more: What friction adds [N], shape (k, R).
-        axes: Axes about which an error can turn the normal, T of each; zero where there is none. Shape (k, T, 3).
+        friction: mu, zero for pins, shape (k,).
+        width: Half width of the patch [m], shape (k,).
         moment: Greatest moment between contact and foot about z [N m], shape (k,).
     """
 
@@ -43,17 +45,19 @@ class Grips:
     along: Vector
     most: Vector
     more: Vector
-    axes: Vector
+    friction: Vector
+    width: Vector
     moment: Vector
 
     def __getitem__(self, index: object) -> Grips:
         """The contacts at `index`, which indexes the leading axis."""
         i: Indices = index  # type: ignore[assignment]
-        return Grips(self.base[i], self.along[i], self.most[i], self.more[i], self.axes[i], self.moment[i])
+        return Grips(**{name: part[i] for name, part in vars(self).items()})
 
-    def rows(self, chi: float = 1.0) -> tuple[Vector, Vector]:
-        """Matrix (k, R, 3) and right side (k, R) of the rows at chi."""
-        return self.base + chi * self.along, self.most + chi * self.more
+    def rows(self, chi: float | Vector = 1.0) -> tuple[Vector, Vector]:
+        """Matrix (k, R, 3) and right side (k, R) of the rows at chi, one for all contacts or of shape (k,)."""
+        each = np.asarray(chi, dtype=float).reshape(-1, 1)
+        return self.base + each[:, :, None] * self.along, self.most + each * self.more
 
 
 def wall_grips(wall: Wall, dimension: int) -> Grips:
@@ -82,36 +86,33 @@ def _stacked(grips: list[Grips]) -> Grips:
 
 def _grip(hold: Hold, dimension: int) -> Grips:
     """One hold's grip, leading shape (1,)."""
-    turns = 2 if dimension == 2 else EDGES
     if hold.grip == "pin":
         sides = np.concatenate([np.eye(3)[:dimension], -np.eye(3)[:dimension]])
         none, most = np.zeros_like(sides), np.full(len(sides), hold.max_force)
-        parts = sides, none, most, np.zeros(len(sides)), np.zeros((turns, 3)), np.array(hold.max_moment)
-        return _alone(parts)
+        return _alone(sides, none, most, np.zeros(len(sides)), 0.0, hold.half_width, hold.max_moment)
     normal, edge = np.array(hold.normal), 2.0 * np.cos(np.arctan(hold.friction))
     adhesion = hold.adhesion if hold.grip == "magnet" else 0.0
     least, greatest = edge * hold.min_force - adhesion, edge * hold.max_force - adhesion
     if dimension == 2:
         tangent = np.array([-normal[1], normal[0], 0.0])
-        sides, friction, axes = np.array([tangent, -tangent]), hold.friction, np.array([[0.0, 0, 1], [0, 0, -1]])
+        sides, friction = np.array([tangent, -tangent]), hold.friction
     else:
         first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
         first /= np.linalg.norm(first)
         angle = 2.0 * np.pi * np.arange(EDGES) / EDGES
         sides = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * np.cross(normal, first)
-        friction, axes = hold.friction * np.cos(np.pi / EDGES), sides
+        friction = hold.friction * np.cos(np.pi / EDGES)
     ones, zeros = np.ones((len(sides), 1)), np.zeros((2, 3))
-    parts = (
+    return _alone(
         np.concatenate([sides, sides, [-normal, normal]]),
         np.concatenate([-friction * ones * normal, friction * ones * normal, zeros]),
         np.concatenate([np.zeros(2 * len(sides)), [-least, greatest]]),
         np.concatenate([-friction * least * ones[:, 0], friction * greatest * ones[:, 0], [0.0, 0.0]]),
-        axes,
-        np.zeros(()),
+        hold.friction,
+        hold.half_width,
+        0.0,
     )
-    return _alone(parts)
 
 
-def _alone(parts: tuple[Vector, ...]) -> Grips:
-    base, along, most, more, axes, moment = (part[None] for part in parts)
-    return Grips(base, along, most, more, axes, moment)
+def _alone(*parts: Vector | float) -> Grips:
+    return Grips(*(np.asarray(part)[None] for part in parts))

@@ -3,7 +3,10 @@
 The pelvis stays on its plan and the limb follows the displaced hold, to first order in the displacement d. Then the
 force f of that contact has another lever: its moment about the pelvis changes by d x f, the moment of the limb's weight
 by no more than omega |d|, and the torque of joint a of that limb by no more than (kappa_a |f| + nu_a) |d|. (What the
-limb's inertia adds when it moves along another way is left out.) The forces that balance the robot all change by these,
+limb's inertia adds when it moves along another way is left out.) There is a posture in which the limb follows if
+|d| <= sigma^2 / (2 H), where sigma is the least singular value of its Jacobian and H the norm of how this changes
+(Newton-Kantorovich): near a straight limb there is hardly room. And a foot that is led to where the hold should be is
+on it if its patch is half as wide. The forces that balance the robot all change by these,
 and so does the change itself: d x f depends on f.
 
 A fixed point settles it. Suppose that for every moment w with |w| <= rho (F + omega) there are forces that balance the
@@ -30,11 +33,9 @@ import numpy as np
 from climber.programs.blocks import solve_each
 from climber.programs.margins import GAP, Worst
 from climber.programs.rays import rays
-from climber.programs.survival import NUDGE, Instants, Mask
+from climber.programs.survival import NUDGE, Instants
 from climber.robot import Indices
 from climber.stance import Vector
-
-CAP = 0.02  # [m] greater displacements are beyond the first order
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,15 @@ class Lever:
             plane, else 3.
         omega: Change of the moment of the limb's weight [N], shape (K, k).
         tight: Of the rows G x <= g, what is lost for each (F + omega) of 1 N and displacement of 1 m, shape (K, k, r).
-        able: Whether the limb can follow at all, shape (K, k).
+        most: Displacement that the limb can follow and the patch allows for, shape (K, k).
+        hard: Direction in which it is hardest to follow, shape (K, k, 2 or 3).
     """
 
     B: Vector
     omega: Vector
     tight: Vector
-    able: Mask
+    most: Vector
+    hard: Vector
 
 
 def _corners(axes: int) -> Vector:
@@ -77,7 +80,8 @@ class PlaceMargin:
         self._room = instants.room(instants.center)
         K, k = lever.omega.shape
         self.survived = np.zeros((K, k))
-        self._settled = np.broadcast_to(~instants.sound[:, None], (K, k)) | ~lever.able
+        self._most = np.minimum(lever.most, cap)
+        self._settled = np.broadcast_to(~instants.sound[:, None], (K, k)) | (lever.most == 0.0)
         answer = np.einsum("knu,kvu->kvn", instants.inverse, self._wrench)
         gap = np.abs(np.einsum("kun,kvn->kvu", instants.E, answer) - self._wrench).max(axis=(1, 2), initial=0.0)
         self._settled |= (gap > 1e-7)[:, None]
@@ -93,9 +97,10 @@ class PlaceMargin:
         own = slice(contact * self._dimension, (contact + 1) * self._dimension)
         force = center[:, None, own] + far[:, None, None] * steps[:, :, own]
         most = np.linalg.norm(force, axis=2).max(axis=1) + self.lever.omega[span, contact]
-        rho = np.minimum(far * moment / np.maximum(most, 1e-9), self._cap)
+        rho = np.minimum(far * moment / np.maximum(most, 1e-9), self._most[span, contact])
         better = ~self._settled[span, contact] & (rho > self.survived[span, contact])
         self.survived[span, contact] = np.where(better, rho, self.survived[span, contact])
+        self._settled[span, contact] |= rho >= self._most[span, contact]
 
     def solve(self) -> tuple[Worst, Vector]:
         """The margins, `which` being the contact, and the direction of displacement that is worst, (P, dimension)."""
@@ -112,6 +117,7 @@ class PlaceMargin:
                 value[p], k = own[low, contact], int(starts[p] + low)
                 if self._settled[k, contact] and value[p] < best[p]:
                     best[p], worst[p], which[p] = value[p], k, contact
+                    direction[p] = self.lever.hard[k, contact]
                 if value[p] < (1.0 - GAP) * best[p]:
                     wanted.append((k, contact))
             if wanted:
@@ -144,7 +150,7 @@ class PlaceMargin:
                 G[i, rows, first : first + dimension] = self._around
             G[:, rows, -2] = self._inside * omega[:, None]
             g[:, rows] = self._inside
-        G[:, -2, -1], g[:, -2] = 1.0, self._cap
+        G[:, -2, -1], g[:, -2] = 1.0, self._most[k, contact]
         G[:, -1, -2] = -1.0
         cost = np.zeros((N, size))
         cost[:, -1] = -1.0
@@ -166,7 +172,7 @@ class PlaceMargin:
                 axis=1,
             )
             self._follow(span, int(contact[i]), steps, rho / s)
-            self.survived[k[i], contact[i]] = max(self.survived[k[i], contact[i]], min(rho, self._cap) * (1.0 - 1e-6))
+            self.survived[k[i], contact[i]] = max(self.survived[k[i], contact[i]], rho * (1.0 - 1e-6))
             room = at.g[i] - x @ at.G[i].T - rho / s * tight[i]
             tightest = int((room / self.instants.weight).min(axis=1).argmin())
             toward[i] = _across(self._corners[tightest], force[tightest])
