@@ -36,6 +36,7 @@ ARGUMENTS = {
     "timing": ("", "--quick"),
     "solve": ("", "--quick"),
     "simulate": ("", "--quick"),
+    "margins": ("", "--quick"),
     "equilibrium3": ("", "--sets 2000 --one-by-one 50 --peer-sets 100"),
 }
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
