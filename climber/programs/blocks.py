@@ -13,6 +13,7 @@ from climber.stance import Vector
 FEASIBILITY = 1e-9  # accuracy asked of the constraints
 GAP = 1e-11  # accuracy asked of the optimal cost; that of x goes with its square root
 REDUCED = 1e-7  # accuracy that is still a solution if Clarabel gets no further
+SHORTER = 0.9  # share of the way to the border that a step goes, where longer ones go to and fro for ever
 
 
 class BlockSolutions(NamedTuple):
@@ -94,8 +95,11 @@ def solve_blocks(
     constraints = _stack(np.concatenate(blocks, axis=1), np.concatenate(rows, axis=1), sum(map(len, right)))
     columns = np.arange(K * n).reshape(K, n)
     quadratic = sparse.csc_matrix((K * n, K * n)) if P is None else _stack(np.triu(P), columns, K * n)
-    solver = clarabel.DefaultSolver(quadratic, q.ravel(), constraints, np.concatenate(right), cones, settings)
-    solution = solver.solve()
+    program = quadratic, q.ravel(), constraints, np.concatenate(right), cones
+    solution = clarabel.DefaultSolver(*program, settings).solve()
+    if solution.status == clarabel.SolverStatus.MaxIterations:
+        settings.max_step_fraction = SHORTER
+        solution = clarabel.DefaultSolver(*program, settings).solve()
     if solution.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
         return None
     multipliers = np.array(solution.z)
