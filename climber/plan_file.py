@@ -17,7 +17,7 @@ from climber.plan_parts import MarginKind, Phase, RobotPlan
 from climber.plan_reader import read_least, read_robot
 
 FORMAT = "climber-plan"
-VERSION = 3
+VERSION = 4
 
 
 @dataclass(frozen=True)
