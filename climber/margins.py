@@ -29,7 +29,7 @@ from climber.wall import Wall
 CAPS: dict[MarginKind, float] = {
     "friction": KEPT,
     "push": 1000.0 * KEPT,
-    "mass": 0.8 * KEPT,
+    "mass": 0.7 * KEPT,
     "center": 0.02 * KEPT,
     "place": 0.02 * KEPT,
     "normal": 0.2 * KEPT,

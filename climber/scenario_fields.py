@@ -227,7 +227,7 @@ class MinMargin:
 
     friction: float = field(default=0.0, metadata=rule(at_least=0.0, at_most=0.9))
     push: float = field(default=0.0, metadata=rule(at_least=0.0, at_most=900.0))
-    mass: float = field(default=0.0, metadata=rule(at_least=0.0, at_most=0.7))
+    mass: float = field(default=0.0, metadata=rule(at_least=0.0, at_most=0.65))
     center: float = field(default=0.0, metadata=rule(at_least=0.0, at_most=0.018))
     place: float = field(default=0.0, metadata=rule(at_least=0.0, at_most=0.018))
     normal: float = field(default=0.0, metadata=rule(at_least=0.0, at_most=0.18))

@@ -47,7 +47,7 @@ EVERYWHERE /= np.linalg.norm(EVERYWHERE, axis=1, keepdims=True)
 MOST: dict[MarginKind, float] = {
     "friction": 0.95,
     "push": 950.0,
-    "mass": 0.76,
+    "mass": 0.665,
     "center": 0.019,
     "place": 0.019,
     "normal": 0.19,
