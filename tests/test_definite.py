@@ -24,3 +24,9 @@ def test_what_is_solved_meets_the_equations(seed: int, n: int, m: int) -> None:
 def test_a_matrix_that_is_not_quite_definite_is_solved_all_the_same() -> None:
     A = np.diag([1.0, -1e-12])
     assert solved(A, np.array([2.0, 1e-12])) == pytest.approx([2.0, -1.0])
+
+
+def test_of_a_singular_matrix_the_least_solution_is_given() -> None:
+    A = np.zeros((3, 3))
+    A[:2, :2] = 1e19
+    assert solved(A, np.array([2e19, 2e19, 0.0])) == pytest.approx([1.0, 1.0, 0.0])
