@@ -50,25 +50,20 @@ def errors(plan: Plan, share: float, seeds: int) -> Iterator[tuple[LeastMargin, 
     (robot,) = plan.robots
     for least in least_by_kind(robot):
         x, y, z = least.direction or (1.0, 0.0, 0.0)
-        size, both = share * least.value, ((x, y, z), (-x, -y, -z))
-        some: list[Perturbation] = []
-        if least.kind == "friction":
-            some = [Perturbation(friction_scale=1.0 - size)]
-        elif least.kind == "mass":
-            some = [Perturbation(mass_scale=1.0 + size), Perturbation(mass_scale=1.0 - size)]
-        elif least.kind == "normal":
-            if not any(name.endswith("base_z") for name in robot.positions):  # it climbs in the plane
-                both = ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
-                some = [Perturbation(normal_error=size, direction=axis) for axis in both]
-            some += [Perturbation(normal_error=size, seed=seed) for seed in range(seeds)]
-        elif least.kind == "place":
-            held = [contact.hold for contact in robot.phases[least.phase].contacts if contact.limb == least.limb]
-            some = [Perturbation(hold_error=size, direction=way, hold=hold) for hold in held for way in both]
-            some += [Perturbation(hold_error=size, seed=seed, hold=hold) for hold in held for seed in range(seeds)]
+        size = share * least.value
+        if least.kind in ("friction", "mass"):
+            signs = (1.0,) if least.kind == "friction" else (1.0, -1.0)
+            some = [Perturbation.of(least.kind, sign * size) for sign in signs]
         else:
-            plain = Perturbation(push=size) if least.kind == "push" else Perturbation(center_error=size)
-            some = [replace(plain, direction=way) for way in both]
-            some += [replace(plain, seed=seed) for seed in range(seeds)]
+            holds: list[int | None] = [None]
+            if least.kind == "place":
+                holds = [contact.hold for contact in robot.phases[least.phase].contacts if contact.limb == least.limb]
+            ways: tuple[tuple[float, float, float], ...] = ((x, y, z), (-x, -y, -z))
+            if least.kind == "normal":  # turned about the axis of the plane, where robots climb in one
+                in_space = any(name.endswith("base_z") for name in robot.positions)
+                ways = () if in_space else ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
+            some = [Perturbation.of(least.kind, size, way, hold=hold) for hold in holds for way in ways]
+            some += [Perturbation.of(least.kind, size, None, seed, hold) for hold in holds for seed in range(seeds)]
         yield from ((least, one) for one in some)
 
 

@@ -88,9 +88,9 @@ def errors(plan: Plan, share: float) -> tuple[tuple[str, Perturbation], ...]:
     off = share * certified["mass"] * (-1.0 if lighter else 1.0)
     drop, push = share * certified["friction"], share * certified["push"]
     return (
-        (f"friction {1e2 * drop:.1f} % less", Perturbation(friction_scale=max(1e-3, 1.0 - drop))),
-        (f"masses {1e2 * abs(off):.1f} % {'less' if off < 0.0 else 'more'}", Perturbation(mass_scale=1.0 + off)),
-        (f"pushed with {push:.2f} N", Perturbation(push=push)),
+        (f"friction {1e2 * drop:.1f} % less", Perturbation.of("friction", min(drop, 1.0 - 1e-3))),
+        (f"masses {1e2 * abs(off):.1f} % {'less' if off < 0.0 else 'more'}", Perturbation.of("mass", off)),
+        (f"pushed with {push:.2f} N", Perturbation.of("push", push)),
     )
 
 

@@ -16,7 +16,6 @@ from multiprocessing import get_context
 
 from climber.least_margins import least_margins
 from climber.plan_file import Plan
-from climber.plan_parts import MarginKind
 from climber.simulation import SLIP_LIMIT, Perturbation, Simulation
 from climber.simulation_loop import Loop, Setting
 
@@ -89,16 +88,7 @@ def certified(plan: Plan, perturbation: Perturbation) -> bool | None:
 
     Margins are of one error at a time, and of one hold out of place; of all displaced at once they say nothing.
     """
-    off: dict[MarginKind, float] = {
-        "friction": max(0.0, 1.0 - perturbation.friction_scale),
-        "mass": abs(perturbation.mass_scale - 1.0),
-        "push": perturbation.push,
-        "center": perturbation.center_error,
-        "place": perturbation.hold_error,
-        "normal": perturbation.normal_error,
-    }
-    errors = {kind: size for kind, size in off.items() if size > 0.0}
-    margins = least_margins(plan)
+    errors, margins = perturbation.errors, least_margins(plan)
     if not errors:
         return True if margins else None
     if len(errors) > 1 or not set(errors) <= set(margins) or (errors.keys() == {"place"} and perturbation.hold is None):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from climber.exceptions import ClimberError
+from climber.plan_parts import MarginKind
 from climber.stance import Vector
 from climber.wall import Wall
 
@@ -83,6 +84,36 @@ class Perturbation:
             check_size(name, getattr(self, name))
         check_count("seed", self.seed, 0)
 
+    @classmethod
+    def of(
+        cls,
+        kind: MarginKind,
+        size: float,
+        direction: tuple[float, float, float] | None = None,
+        seed: int = 0,
+        hold: int | None = None,
+    ) -> Perturbation:
+        """One error, as great as margins measure it.
+
+        Args:
+            kind: What is not as planned.
+            size: By how much, in the unit of `climber.plan_parts.PhaseMargin`; robots that are lighter than their
+                models are so by less than 0.
+            direction: As the attribute.
+            seed: As the attribute.
+            hold: As the attribute.
+        """
+        name, none, sign = _ERRORS[kind]
+        plain = cls(direction=direction, seed=seed, hold=hold)
+        return replace(plain, **{name: none + sign * size})  # type: ignore[arg-type]
+
+    @property
+    def errors(self) -> dict[MarginKind, float]:
+        """The errors that margins are of and that there are, as great as margins measure them."""
+        sizes = {kind: sign * (getattr(self, name) - none) for kind, (name, none, sign) in _ERRORS.items()}
+        sizes["mass"] = abs(sizes["mass"])
+        return {kind: size for kind, size in sizes.items() if size > 0.0}
+
     def toward(self, rng: np.random.Generator, dimension: int) -> Vector:
         """Which way a robot that moves in as many axes is disturbed, shape (dimension,)."""
         return on_sphere(rng, dimension) if self.direction is None else np.array(self.direction[:dimension])
@@ -119,6 +150,17 @@ class Perturbation:
         if self.direction is not None:
             return np.array(self.direction[:dimension])
         return in_ball(rng, dimension) if self.hold is None else on_sphere(rng, dimension)
+
+
+# The attribute that says how great the error of a kind of margin is, its value without it, and which way it goes.
+_ERRORS: dict[MarginKind, tuple[str, float, float]] = {
+    "friction": ("friction_scale", 1.0, -1.0),
+    "push": ("push", 0.0, 1.0),
+    "mass": ("mass_scale", 1.0, 1.0),
+    "center": ("center_error", 0.0, 1.0),
+    "place": ("hold_error", 0.0, 1.0),
+    "normal": ("normal_error", 0.0, 1.0),
+}
 
 
 def on_sphere(rng: np.random.Generator, dimension: int) -> Vector:

@@ -316,19 +316,12 @@ def just_within(plan: Plan, error: str, seed: int) -> Perturbation:
     least = {margin.kind: margin for margin in least_by_kind(robot)}
     kinds: dict[str, MarginKind] = {"heavier": "mass", "lighter": "mass", "normals": "normal"}
     way, _, name = error.rpartition(" ")
-    margin = least[kinds.get(name) or cast("MarginKind", name)]
+    kind = kinds.get(name) or cast("MarginKind", name)
+    margin = least[kind]
     size = margin.value * (1.0 - 1e-9)
     x, y, z = margin.direction or (1.0, 0.0, 0.0)
     direction = {"": None, "worst": (x, y, z), "opposite": (-x, -y, -z)}[way]
-    if name == "friction":
-        return Perturbation(friction_scale=1.0 - size, seed=seed)
-    if margin.kind == "mass":
-        return Perturbation(mass_scale=1.0 + (size if name == "heavier" else -size), seed=seed)
-    if name == "normals":
-        return Perturbation(normal_error=size, seed=seed)
-    if name == "center":
-        return Perturbation(center_error=size, direction=direction, seed=seed)
-    if name == "push":
-        return Perturbation(push=size, direction=direction, seed=seed)
-    (hold,) = (contact.hold for contact in robot.phases[margin.phase].contacts if contact.limb == margin.limb)
-    return Perturbation(hold_error=size, direction=direction, seed=seed, hold=hold)
+    hold = None
+    if kind == "place":
+        (hold,) = (contact.hold for contact in robot.phases[margin.phase].contacts if contact.limb == margin.limb)
+    return Perturbation.of(kind, -size if name == "lighter" else size, direction, seed, hold)

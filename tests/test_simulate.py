@@ -19,6 +19,7 @@ from climber import simulation_model
 from climber.cli import main
 from climber.exceptions import ClimberError
 from climber.least_margins import least_margins
+from climber.plan_parts import MARGIN_KINDS
 from climber.reference import Reference
 from climber.robot import Model, Robot
 from climber.scene import Scene
@@ -295,6 +296,13 @@ def test_margins_certify_one_error_at_a_time():
     assert certified(plan, Perturbation(normal_error=1.1 * least["normal"])) is False
     assert certified(plan, Perturbation(hold_error=0.9 * least["place"], hold=1)) is True
     assert certified(plan, Perturbation(hold_error=0.001)) is None
+
+
+@given(kind=st.sampled_from(MARGIN_KINDS), size=st.floats(0.001, 0.9))
+def test_an_error_is_as_great_as_margins_measure_it(kind, size):
+    assert Perturbation.of(kind, size).errors == {kind: pytest.approx(size)}
+    assert Perturbation.of("mass", -size) == Perturbation(mass_scale=1.0 - size)
+    assert Perturbation.of("friction", size, seed=3) == Perturbation(friction_scale=1.0 - size, seed=3)
 
 
 def test_forces_go_over_from_phase_to_phase():
