@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -27,6 +28,64 @@ from climber.simulation import (
 START_ERROR = 0.001  # [m], if there are several runs and nothing else is asked for
 
 
+@dataclass(frozen=True)
+class Error:
+    """What may not be as planned, and the option for it.
+
+    Attributes:
+        field: Of `Perturbation`.
+        metavar: Of the option.
+        help: Of the option.
+        words: The error in words, with {} for its size and {what} for the holds.
+        none: Its value where all is as planned; 1 for factors.
+        unit: The option's, in SI units.
+        shown: How many of the units in `words` are one SI unit.
+    """
+
+    field: str
+    metavar: str
+    help: str
+    words: str
+    none: float = 0.0
+    unit: float = 1.0
+    shown: float = 1.0
+
+    @property
+    def option(self) -> str:
+        """What the option is called."""
+        return f"--{self.field.replace('_', '-')}"
+
+
+ERRORS = (
+    Error("friction_scale", "F", "friction of all holds, times this", "friction x {:g}", none=1.0),
+    Error("mass_scale", "F", "mass of all bodies, times this", "mass x {:g}", none=1.0),
+    Error("hold_error", "M", "holds are off at random by up to this [m]", "{what} off {:g} mm", shown=1e3),
+    Error(
+        "start_error",
+        "M",
+        "pelvises start off at random by up to this [m]; 0, or 0.001 with --runs",
+        "start off {:g} mm",
+        shown=1e3,
+    ),
+    Error("push", "N", "pushes at the centre of mass, in a direction drawn at random [N]", "push {:g} N"),
+    Error(
+        "center_error",
+        "M",
+        "centres of mass are off by this, in a direction drawn at random [m]",
+        "centre of mass off {:g} mm",
+        shown=1e3,
+    ),
+    Error(
+        "normal_error",
+        "DEG",
+        "normals of holds are turned at random by up to this [deg]",
+        "{what} turned {:g} deg",
+        unit=math.radians(1.0),
+        shown=math.degrees(1.0),
+    ),
+)
+
+
 def add_simulate_command(commands: Any) -> argparse.ArgumentParser:
     """Adds `simulate` to the subcommands of a parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
@@ -39,51 +98,8 @@ def add_simulate_command(commands: Any) -> argparse.ArgumentParser:
     )
     parser.add_argument("plan", type=Path)
     parser.add_argument("--out", type=Path, help="folder for simulation.html, which replays the first run")
-    parser.add_argument(
-        "--friction-scale", type=float, nargs="+", default=[1.0], metavar="F", help="friction of all holds, times this"
-    )
-    parser.add_argument(
-        "--mass-scale", type=float, nargs="+", default=[1.0], metavar="F", help="mass of all bodies, times this"
-    )
-    parser.add_argument(
-        "--hold-error",
-        type=float,
-        nargs="+",
-        default=[0.0],
-        metavar="M",
-        help="holds are off at random by up to this [m]",
-    )
-    parser.add_argument(
-        "--start-error",
-        type=float,
-        nargs="+",
-        metavar="M",
-        help="pelvises start off at random by up to this [m]; 0, or 0.001 with --runs",
-    )
-    parser.add_argument(
-        "--push",
-        type=float,
-        nargs="+",
-        default=[0.0],
-        metavar="N",
-        help="pushes at the centre of mass, in a direction drawn at random [N]",
-    )
-    parser.add_argument(
-        "--center-error",
-        type=float,
-        nargs="+",
-        default=[0.0],
-        metavar="M",
-        help="centres of mass are off by this, in a direction drawn at random [m]",
-    )
-    parser.add_argument(
-        "--normal-error",
-        type=float,
-        nargs="+",
-        default=[0.0],
-        metavar="DEG",
-        help="normals of holds are turned at random by up to this [deg]",
-    )
+    for error in ERRORS:
+        parser.add_argument(error.option, type=float, nargs="+", metavar=error.metavar, help=error.help)
     parser.add_argument(
         "--hold", type=int, metavar="K", help="only this hold is off or turned, by as much as the options say"
     )
@@ -127,21 +143,13 @@ def _simulate(options: argparse.Namespace) -> int:
 
 def _perturbations(options: argparse.Namespace) -> list[Perturbation]:
     """Every combination of what is asked for, checked."""
-    start = options.start_error or [START_ERROR if options.runs > 1 else 0.0]
-    scales = {"--friction-scale": options.friction_scale, "--mass-scale": options.mass_scale}
-    sizes = {
-        "--hold-error": options.hold_error,
-        "--start-error": start,
-        "--push": options.push,
-        "--center-error": options.center_error,
-        "--normal-error": options.normal_error,
-    }
-    for name, values in scales.items():
-        for value in values:
-            check_scale(name, value)
-    for name, values in {**sizes, "--slip-limit": [options.slip_limit]}.items():
-        for value in values:
-            check_size(name, value)
+    asked: list[list[float]] = []
+    for error in ERRORS:
+        none = START_ERROR if error.field == "start_error" and options.runs > 1 else error.none
+        asked.append(getattr(options, error.field) or [none])
+        for value in asked[-1]:
+            (check_scale if error.none else check_size)(error.option, value)
+    check_size("--slip-limit", options.slip_limit)
     counts = {
         "--runs": (options.runs, 1),
         "--seed": (options.seed, 0),
@@ -151,29 +159,11 @@ def _perturbations(options: argparse.Namespace) -> list[Perturbation]:
     for name, (count, least) in counts.items():
         if count is not None:
             check_count(name, count, least)
-    every = product(
-        options.friction_scale,
-        options.mass_scale,
-        options.hold_error,
-        start,
-        options.push,
-        options.center_error,
-        np.radians(options.normal_error).tolist(),
+    worlds = (
+        {error.field: error.unit * value for error, value in zip(ERRORS, values, strict=True)}
+        for values in product(*asked)
     )
-    return [
-        Perturbation(
-            friction_scale=friction,
-            mass_scale=mass,
-            hold_error=away,
-            start_error=astray,
-            push=push,
-            seed=options.seed,
-            normal_error=turn,
-            center_error=center,
-            hold=options.hold,
-        )
-        for friction, mass, away, astray, push, center, turn in every
-    ]
+    return [Perturbation(**world, seed=options.seed, hold=options.hold) for world in worlds]  # type: ignore[arg-type]
 
 
 def _page(plan: Plan, run: Simulation, folder: Path) -> Path:
@@ -235,16 +225,9 @@ def _tell(console: Console, run: Simulation) -> None:
 def _worded(perturbation: Perturbation) -> str:
     """What is not as planned."""
     what = "holds" if perturbation.hold is None else f"hold {perturbation.hold}"
-    words = {
-        f"friction x {perturbation.friction_scale:g}": perturbation.friction_scale != 1.0,
-        f"mass x {perturbation.mass_scale:g}": perturbation.mass_scale != 1.0,
-        f"{what} off {1e3 * perturbation.hold_error:g} mm": perturbation.hold_error > 0.0,
-        f"start off {1e3 * perturbation.start_error:g} mm": perturbation.start_error > 0.0,
-        f"push {perturbation.push:g} N": perturbation.push > 0.0,
-        f"centre of mass off {1e3 * perturbation.center_error:g} mm": perturbation.center_error > 0.0,
-        f"{what} turned {np.degrees(perturbation.normal_error):g} deg": perturbation.normal_error > 0.0,
-    }
-    return ", ".join(word for word, said in words.items() if said) or "none"
+    sizes = [(error, getattr(perturbation, error.field)) for error in ERRORS]
+    words = [error.words.format(error.shown * size, what=what) for error, size in sizes if size != error.none]
+    return ", ".join(words) or "none"
 
 
 def _tell_all(console: Console, plan: Plan, rows: list[Survival]) -> None:
