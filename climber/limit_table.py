@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from climber.plan_file import Plan
+from climber.plan_command import add_plan_command
 from climber.plan_parts import Phase, RobotPlan
 
 FEW = 0.05  # share of a phase's time: limits that keep it for less are left out of the table
@@ -99,28 +97,22 @@ def limit_table(plan: RobotPlan) -> Table:
 
 def add_limits_command(commands: Any) -> argparse.ArgumentParser:
     """Adds `climber limits`."""
-    command: argparse.ArgumentParser = commands.add_parser(
+    return add_plan_command(
+        commands,
         "limits",
+        _facts,
+        _tell,
         help="show what keeps a plan from being faster",
         description="Shows, phase by phase, which limits of speed, acceleration, jerk, torque, friction and contact "
         "force the motion runs at, and for how much of its time. Forces are timed with something in reserve, so that "
         "there may be none for a while.",
     )
-    command.add_argument("plan", type=Path)
-    command.set_defaults(run=_run)
-    return command
 
 
-def _run(options: argparse.Namespace) -> int:
-    plan = Plan.load(options.plan)
-    if options.json:
-        robots = [
-            {"name": robot.name, "phases": [asdict(limits) for limits in limits_of(robot)]} for robot in plan.robots
-        ]
-        print(json.dumps({"robots": robots}))
-        return 0
-    console = Console(highlight=False)
-    for robot in plan.robots:
-        console.print(limit_table(robot))
-        console.print(f"in all: {told_in_short(robot) or 'nothing told'}", markup=False)
-    return 0
+def _facts(plan: RobotPlan) -> dict[str, Any]:
+    return {"phases": [asdict(limits) for limits in limits_of(plan)]}
+
+
+def _tell(plan: RobotPlan, console: Console) -> None:
+    console.print(limit_table(plan))
+    console.print(f"in all: {told_in_short(plan) or 'nothing told'}", markup=False)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from climber.least_margins import WORDS, least_by_kind
-from climber.plan_file import Plan
+from climber.plan_command import add_plan_command
 from climber.plan_parts import RobotPlan
 
 OTHERS = 36  # columns of a terminal that the rest of the table takes
@@ -35,21 +33,12 @@ def margin_table(plan: RobotPlan, width: int) -> Table:
 
 def add_margins_command(commands: Any) -> argparse.ArgumentParser:
     """Adds `climber margins`."""
-    command: argparse.ArgumentParser = commands.add_parser("margins", help="show what a plan survives")
-    command.add_argument("plan", type=Path)
-    command.set_defaults(run=_run)
-    return command
+    return add_plan_command(commands, "margins", _facts, _tell, help="show what a plan survives")
 
 
-def _run(options: argparse.Namespace) -> int:
-    plan = Plan.load(options.plan)
-    if options.json:
-        robots = [
-            {"name": robot.name, "margins": [vars(least) for least in least_by_kind(robot)]} for robot in plan.robots
-        ]
-        print(json.dumps({"robots": robots}))
-        return 0
-    console = Console(highlight=False)
-    for robot in plan.robots:
-        console.print(margin_table(robot, console.width))
-    return 0
+def _facts(plan: RobotPlan) -> dict[str, Any]:
+    return {"margins": [vars(least) for least in least_by_kind(plan)]}
+
+
+def _tell(plan: RobotPlan, console: Console) -> None:
+    console.print(margin_table(plan, console.width))
