@@ -81,12 +81,8 @@ def angular_velocity_map(angles: Vector) -> Vector:
 
     Its columns are the axes about which the three angles turn, in F.
     """
-    (_, s1, s2), (_, c1, c2) = np.sin(angles.T), np.cos(angles.T)
-    E = np.zeros((len(angles), 3, 3))
-    E[:, :, 0] = np.stack([c2 * c1, s2 * c1, -s1], axis=1)
-    E[:, 0, 1], E[:, 1, 1] = -s2, c2
-    E[:, 2, 2] = 1.0
-    return E
+    axes = angular_velocity(angles[:, None], np.broadcast_to(np.eye(3), (len(angles), 3, 3)))
+    return np.ascontiguousarray(axes.swapaxes(1, 2))
 
 
 def angular_velocity(angles: Vector, rates: Vector) -> Vector:

@@ -6,8 +6,8 @@ by no more than omega |d|, and the torque of joint a of that limb by no more tha
 limb's inertia adds when it moves along another way is left out.) There is a posture in which the limb follows if
 |d| <= sigma^2 / (2 H), where sigma is the least singular value of its Jacobian and H the norm of how this changes
 (Newton-Kantorovich): near a straight limb there is hardly room. And a foot that is led to where the hold should be is
-on it if its patch is half as wide. The forces that balance the robot all change by these,
-and so does the change itself: d x f depends on f.
+on it if its patch is half as wide. The forces that balance the robot all change by these, and so does the change
+itself: d x f depends on f.
 
 A fixed point settles it. Suppose that for every moment w with |w| <= rho (F + omega) there are forces that balance the
 robot with w, keep to the limits of the holds and of the other motors, leave (kappa_a F + nu_a) rho of the torque of
