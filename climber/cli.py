@@ -11,7 +11,6 @@ import math
 import sys
 import time
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -155,6 +154,7 @@ def _solve(options: argparse.Namespace) -> int:
     from climber.margin_table import margin_table
     from climber.plan import plan_climb
     from climber.scenario import load_scenario
+    from climber.words import moves_told
 
     began = time.perf_counter()
     # What a program reads goes to stdout alone; what a person watches then goes to stderr.
@@ -222,8 +222,9 @@ def _solve(options: argparse.Namespace) -> int:
             console.print(f"  {_worded(robot.objective.kind, last)}{better}", markup=False)
         if limits := told_in_short(robot):
             console.print(f"  kept from being faster by {limits}", markup=False)
-        for limbs in _told(robot.stances):
-            console.print(f"  {limbs}", style="dim", markup=False)
+        swings = [phase.limb for phase in robot.phases if phase.limb is not None]
+        for number, move in enumerate(moves_told(robot.stances, swings), start=1):
+            console.print(f"  {number:3d}. {move}", style="dim", markup=False)
         console.print(margin_table(robot, console.width))
     console.print(f"wrote {', '.join(str(path) for path in written)}")
     return OK
@@ -242,16 +243,6 @@ def _worded(kind: str, value: float) -> str:
         "margin": "of a limb's reach to where the support ends, or of a motor's torque left",
     }
     return f"{kind} {_size(value)} {units[kind]}"
-
-
-def _told(stances: Sequence[dict[str, int]]) -> list[str]:
-    """Each move in words."""
-    lines = []
-    for number, (before, after) in enumerate(pairwise(stances), start=1):
-        for limb in before:
-            if before[limb] != after[limb]:
-                lines.append(f"{number:3d}. {limb.replace('_', ' ')} from hold {before[limb]} to hold {after[limb]}")
-    return lines
 
 
 def _pictures(plan: Any, folder: Path) -> list[Path]:

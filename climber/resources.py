@@ -72,8 +72,9 @@ def resolve_model(source: str | Path, relative_to: Path | None = None) -> Path:
 def resolve_scenario(source: str | Path) -> Path:
     """The file of a scenario given as a path, or as the bare name of one that comes with climber.
 
-    A file of that name in the working directory takes precedence over the one that comes with climber.
+    A file of that name in the working directory takes precedence over the one that comes with climber; a folder, as
+    of what was planned before, does not.
     """
     path = Path(source).expanduser()
     bare = path.name == str(source) and not path.suffix
-    return packaged_scenarios().get(path.name, path) if bare and not path.exists() else path
+    return packaged_scenarios().get(path.name, path) if bare and not path.is_file() else path

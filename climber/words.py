@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 from climber.stance import Vector
 
@@ -20,6 +21,16 @@ def listed(items: Sequence[str]) -> str:
     if len(items) > 1 and all(item.startswith("hold ") for item in items):
         return "holds " + listed([item.removeprefix("hold ") for item in items])
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}" if items else "nothing"
+
+
+def moves_told(stances: Sequence[Mapping[str, int]], limbs: Sequence[str]) -> list[str]:
+    """What each limb in turn does from one stance, hold by limb name, to the next."""
+    told = []
+    for limb, (before, after) in zip(limbs, pairwise(stances), strict=True):
+        again = f"lets go of hold {before[limb]} and takes it again"
+        moved = f"from hold {before[limb]} to hold {after[limb]}"
+        told.append(f"{spoken(limb)} {again if before[limb] == after[limb] else moved}")
+    return told
 
 
 def length(metres: float) -> str:

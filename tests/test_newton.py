@@ -34,6 +34,7 @@ from climber.transition import PostureSampler
 from climber.transitions import MoveFailure, TransitionFinder
 from climber.verify import verify
 from climber.wall import Hold, Wall
+from climber.words import moves_told
 
 HOLDS = ((-0.15, -0.15), (0.15, -0.15), (0.15, 0.15), (-0.15, 0.15))
 ANYWHERE = Region.interval(-np.inf, np.inf)
@@ -401,6 +402,8 @@ def test_refining_finds_the_climb_and_it_verifies(seed: int) -> None:
     assert [stance["second_hand"] for stance in plan.robots[0].stances] == [0, 2, 2, 3]
     swings = [phase for phase in plan.robots[0].phases if phase.kind == "swing"]
     assert [phase.contacts[0].hold for phase in swings] == [1, 2, 1]
+    told = moves_told(plan.robots[0].stances, [phase.limb or "" for phase in swings])
+    assert told[1:] == ["first hand lets go of hold 1 and takes it again", "second hand from hold 2 to hold 3"]
     assert any("obstacles cut" in cut.reason for cut in plan.robots[0].cuts)
     verdict = verify(plan)
     assert verdict.ok, str(verdict)

@@ -69,6 +69,8 @@ def test_a_file_in_the_working_directory_comes_before_one_that_comes_along(
     monkeypatch.chdir(tmp_path)
     Path("basic").write_text("name: mine\n")
     assert resolve_scenario("basic") == Path("basic")
+    Path("higher").mkdir()  # as `climber solve higher --out higher` leaves it
+    assert resolve_scenario("higher") == packaged_scenarios()["higher"]
 
 
 def test_folders_inside_an_installed_package_are_found_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
