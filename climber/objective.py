@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import get_args
 
 import numpy as np
 
@@ -30,7 +29,6 @@ from climber.plan_parts import ObjectiveKind
 from climber.stance import Vector
 from climber.transition import support_of
 
-KINDS: tuple[ObjectiveKind, ...] = get_args(ObjectiveKind)
 FLIP = 4.0  # what an elbow flip counts as, in joint-space length [rad]
 PELVIS = 1.0  # [m/s, rad/s] rate at which the pelvis's own positions are taken to change at most
 LITTLE = 0.05  # [1/rad] weight of length beside the logarithm of a margin

@@ -27,12 +27,7 @@ THOROUGH = 5  # times as many samples where a single chart is all that there is 
 
 
 def find_path(
-    manifold: Manifold,
-    a: Vector,
-    b: Vector,
-    rng: np.random.Generator,
-    search: Search | None = None,
-    roadmap: Roadmap | None = None,
+    manifold: Manifold, a: Vector, b: Vector, rng: np.random.Generator, search: Search | None = None
 ) -> list[Leg] | None:
     """A feasible path between two feasible configurations on a manifold, or None when the search ends without one.
 
@@ -44,7 +39,6 @@ def find_path(
         b: Where to go, shape (nq,).
         rng: Source of random numbers.
         search: How hard to look.
-        roadmap: What is known of the manifold from paths asked for before; it learns from this one.
 
     Returns:
         Legs, each beginning in the configuration in which the one before it ends.
@@ -59,7 +53,7 @@ def find_path(
         u = connect(manifold, chart, chart.coordinates(a), chart.coordinates(b), rng, search)
         if u is not None:
             return [shortened(manifold, Leg(chart, u), rng, search)]
-    return (roadmap or Roadmap(manifold, rng, search)).path(a, b)
+    return Roadmap(manifold, rng, search).path(a, b)
 
 
 def _without_inverse(

@@ -37,7 +37,6 @@ from climber.task import Impossible, OutOfTime, TaskPlan, TaskPlanner, Walk
 from climber.team import SAME, Team, TeamMotion, by_step
 
 ROOM = 0.02  # [m] that stars of straight limbs keep from one another, since knees stick out
-FAR = 1.0  # [m] stances farther apart do not matter to one another
 
 
 def plan_team(
