@@ -13,7 +13,7 @@ import numpy as np
 
 from climber.exceptions import ModelError
 from climber.kinematics import LimbChain, Pose
-from climber.robot import Limb
+from climber.limb import Limb
 from climber.stance import Vector
 
 SQUARE = 1e-9  # [rad] axes nearer to parallel, or to a right angle, than this are so

@@ -14,7 +14,8 @@ from robots import FOLDER, MODELS, body, kinematics, robot
 from climber.exceptions import ModelError
 from climber.inverse import TwoLinkInverse
 from climber.kinematics import Kinematics, LimbChain, Pose
-from climber.robot import Limb, Robot
+from climber.limb import Limb
+from climber.robot import Robot
 from climber.stance import Vector
 
 seeds = st.integers(0, 2**32 - 1)

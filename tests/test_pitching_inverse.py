@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from climber.exceptions import ModelError
 from climber.inverse import PitchingInverse, TwoLinkInverse, limb_inverse
 from climber.kinematics import Kinematics, LimbChain, Pose
-from climber.robot import Limb, Robot
+from climber.limb import Limb
+from climber.robot import Robot
 from climber.stance import Vector
 
 seeds = st.integers(0, 2**32 - 1)

@@ -564,6 +564,6 @@ def test_verify_uses_nothing_of_the_planner() -> None:
                 assert not any(alias.name.startswith("climber") for alias in node.names)
     own = {path.stem for path in folder.glob("verify*.py")} | {"verdict"}
     given = {"plan_file", "plan_parts", "plan_reader", "plan_json", "files", "exceptions", "resources", "stance"}
-    given |= {"wall", "robot", "model", "symmetry", "floating", "solids", "polyhedron"}
+    given |= {"wall", "robot", "limb", "model", "symmetry", "floating", "solids", "polyhedron"}
     assert own <= reached
     assert {name.split("_")[0] for name in reached - own - given} <= {"scenario", "yaml"}
