@@ -17,8 +17,9 @@ import shapely
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
+from climber.chart import Chart
 from climber.clearance import Clearance
-from climber.manifold import Body, Chart, Manifold
+from climber.manifold import Body, Manifold
 from climber.robot import Indices
 from climber.stance import Vector
 

@@ -1,6 +1,6 @@
 """Closed chains without inverse kinematics: Newton's method on the contacts, and local charts that it makes.
 
-A robot whose limbs have a closed form needs none of this (`climber.manifold.Chart`). Where limbs have one joint, or
+A robot whose limbs have a closed form needs none of this (`climber.chart.Chart`). Where limbs have one joint, or
 none because the foot is fixed to the pelvis, whole configurations are projected onto the contacts instead. Around a
 configuration q0 that keeps them, with the scaled Jacobian's null space T and row space N (S makes metres and radians
 commensurate),
@@ -105,7 +105,7 @@ class Closure:
 class NewtonChart:
     """Coordinates u of the configurations near one that keeps some contacts; see the module.
 
-    It has the interface of `climber.manifold.Chart`. An isolated configuration gets one coordinate that moves nothing,
+    It has the interface of `climber.chart.Chart`. An isolated configuration gets one coordinate that moves nothing,
     so that a path that stays where it is has a chart like any other.
 
     Attributes:

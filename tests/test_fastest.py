@@ -16,11 +16,12 @@ from robots import robot, standing
 from test_torque import STANDING, feet, variant
 from test_torque import robot as _fixture  # noqa: F401
 
+from climber.chart import Chart
 from climber.curve import Curve
 from climber.dynamics import evaluate
 from climber.exceptions import ModelError
 from climber.fastest import HOLDING, MARGIN, RESERVE, SHORTEST, FastLeg, RateLimits, fastest_leg, instants_of
-from climber.manifold import Body, Chart
+from climber.manifold import Body
 from climber.phase_motion import MotionBudget, by_fixed_law, timed
 from climber.programs import torque_blocks
 from climber.programs.time_scaling import TimeScalingProgram

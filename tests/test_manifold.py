@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from robots import MODELS, Standing, clear_configurations, every_star, kinematics, robot, standing
 
 from climber.balance import Region
-from climber.manifold import Body, Chart, Manifold, Margins
+from climber.chart import Chart
+from climber.manifold import Body, Manifold, Margins
 from climber.programs.torque import static_feasible
 from climber.stance import Contact, Vector
 from climber.wall import Hold, Wall, circle

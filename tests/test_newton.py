@@ -12,10 +12,11 @@ from plans import edited
 from climber.apart import Cells, why_apart
 from climber.atlas import atlas_path
 from climber.balance import Region
+from climber.chart import Chart
 from climber.curve import rounded
 from climber.exceptions import NoPlanFound
 from climber.graph import build_stance_graph
-from climber.manifold import Body, Chart, Manifold, Margins
+from climber.manifold import Body, Manifold, Margins
 from climber.motion import DeadEnd, EmptyPiece, MotionPlanner
 from climber.newton import Closure, NewtonChart
 from climber.newton_sampler import NewtonSampler

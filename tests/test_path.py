@@ -14,7 +14,8 @@ from robots import STARS, Standing, every_star, robot, standing
 from shapely.geometry.base import BaseGeometry
 
 from climber.balance import Region
-from climber.manifold import Body, Chart, Manifold, Margins
+from climber.chart import Chart
+from climber.manifold import Body, Manifold, Margins
 from climber.path import Leg, Search, clear, find_path, flips, line, unwound
 from climber.roadmap import Roadmap
 from climber.robot import Robot

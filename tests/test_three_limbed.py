@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from climber.chart import Chart
 from climber.draw import draw_all
 from climber.graph import build_stance_graph
-from climber.manifold import Body, Chart, Manifold
+from climber.manifold import Body, Manifold
 from climber.plan import plan_climb
 from climber.plan_file import Plan
 from climber.robot import Robot

@@ -12,9 +12,10 @@ from problems import thesis_wall
 from pydrake.multibody.tree import JacobianWrtVariable
 
 from climber.balance import Region
+from climber.chart import Chart
 from climber.clearance import segment_distance
 from climber.curve import Curve, clamped_knots, greville, joint_length, polyline_lengths, rounded, smooth
-from climber.manifold import Body, Chart, Manifold, Margins
+from climber.manifold import Body, Manifold, Margins
 from climber.path import Search, find_path, flips
 from climber.programs.conditions import Conditions
 from climber.programs.gaps import closest
