@@ -80,7 +80,7 @@ class Instants:
         return result
 
     def room(self, x: Vector) -> Vector:
-        """G - G x, shape (K, r), for forces (K, n)."""
+        """Room inside the limits, g - G x, shape (K, r), for forces x, (K, n)."""
         result: Vector = self.g - (self.G @ x[:, :, None])[:, :, 0]
         return result
 
