@@ -21,7 +21,6 @@ A trajectory generator (Bretl 2006) runs the plan's clock: it slows as the track
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -245,8 +244,7 @@ class Controller:
         # (4)
         base = slice(len(robot.base_v))
         gives = _inverse(moved[self._loose, base])
-        push = math.hypot(*rest[robot.origin_q].tolist())
-        demand = self._demand(desired, J, load, moved[self._driven, base] @ gives, push)
+        demand = self._demand(desired, J, load, moved[self._driven, base] @ gives, disturbance.size(rest))
         forces = stance.control.forces(demand)
         # (5)
         torque = np.zeros(len(robot.joint_v))

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from climber.least_margins import with_unit
-from climber.margins import CAPS, phase_margins
+from climber.margins import phase_margins
 from climber.phase_instants import Moving
-from climber.plan_parts import MarginKind
+from climber.plan_parts import CAPS, MarginKind
 from climber.robot import Robot
 from climber.scenario_fields import SURE, MinMargin
 from climber.stance import Contact, Vector

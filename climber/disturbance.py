@@ -21,6 +21,8 @@ h), and what remains of f acts on the pelvis and the free limbs themselves.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
@@ -54,7 +56,7 @@ class Disturbance:
         self._step, self._felt = time_step, np.zeros(len(robot.velocity_names))
         self._scale = np.full(len(robot.velocity_names), 1.0 / LEVER)
         self._scale[robot.origin_q] = 1.0  # the pelvis's velocities are in the order of its positions
-        self._turns = self._couples(robot)
+        self._turns, self._pelvis = self._couples(robot), robot.base_v
         self._missed = np.zeros(3)
         self._expected: Vector | None = None
 
@@ -129,3 +131,7 @@ class Disturbance:
         more, rest = -self.heavier * load, np.zeros(len(load))
         rest[free] = self._felt[free] - motions.T @ more
         return more, rest
+
+    def size(self, rest: Vector) -> float:
+        """How hard the pelvis is pushed and turned by what disturbs it [N], `rest` as `parts` has it."""
+        return math.hypot(*(rest * self._scale)[self._pelvis].tolist())

@@ -16,16 +16,18 @@ from climber.wall import Wall
 LEAST = 0.05  # a foot presses on its hold at least so hard [N]
 FULL = 0.995  # share of a friction cone that may be used, if it must
 LIGHT = 0.1  # least readiness of a light foot to press harder, beside one with its share of the load
+FEEBLE = 0.05  # share of the mean push below which a foot's friction becomes no dearer
 SMOOTH = 0.05  # friction below which forces across the normal become no harder to change
 # What it costs to be one newton beyond a limit, where one newton along a normal off the wished force costs 1: the share
 # of friction that is to be used, the balance, and what holds and motors can do.
-SPARED, BALANCE, LIMIT = 1e4, 1e7, 1e10
-LEVELS = (1.0, 0.5, 0.2)  # of the friction to be spared: beyond each it costs `DEARER` more, so that all feet share
+SPARED, BALANCE, LIMIT = 1e3, 1e8, 1e11
+LEVELS = (1.0, 0.5, 0.2)  # of the friction to be spared, and of the push: beyond each it costs `DEARER` more
 DEARER = 10.0
+LEVELLED = np.array([*LEVELS, 0.0])  # and of neither, which is as dear as any limit
 INSIDE = 1e-4  # [N, N m] a limit that is exceeded by less is kept
 STEPS = 30  # of Newton's method at the most
 FEW = 6  # steps from the solution of the moment before; two or three are taken
-GENTLER = (1e2, 1e4, 1e6, 1e8)  # greatest weights of programs on the way to a solution from afar
+GENTLER = (1e2, 1e4, 1e6, 1e8, 1e10)  # greatest weights of programs on the way to a solution from afar
 SETTLED = 1e-4  # [N, N m] a step that is shorter ends it
 SHORTEST = 1e-3  # share of a step that is taken even if it does not help
 ROUNDING = 1e-12  # share of the cost
@@ -65,7 +67,8 @@ class ForceControl:
 
     Given wished forces x*, a load b and torques tau = c - A x,
 
-        min   |x - x*|^2_R + S sum_k ( sum_c (t_k - (1 - c d) mu_k n_k)_+^2 + (press - n_k)_+^2 ) + B |E x - b|^2
+        min   |x - x*|^2_R + S sum_k sum_c ( r_k^2 (t_k - (1 - c d) mu_k n_k)_+^2 + (c press - n_k)_+^2 )
+              + B |E x - b|^2
               + L ( sum_k (t_k - mu_k n_k)_+^2 + sum_k (least - n_k)_+^2 + sum_j (|tau_j| - tau_max,j)_+^2 )
 
     where n_k is the part of the force of foot k along its hold's normal, with a magnet's adhesion, and t_k the length
@@ -77,8 +80,9 @@ class ForceControl:
     than a millinewton for what cannot be done, if forces within the limits exist.
 
     Where forces are to stay inside the cones by an angle, d is for each foot the share that this comes to, or the given
-    one if that is more. The sum over c is over `LEVELS`, with S `DEARER` from one to the next: friction that is to be
-    spared and cannot be is taken from all feet alike, not from a light one until it slips.
+    one if that is more. The sum over c is over `LEVELS`, with S `DEARER` from one to the next, and r_k is how much less
+    than the mean of all feet foot k pressed the moment before, 1 if it pressed more: friction that is to be spared and
+    cannot be is taken from all feet, and from a light one, which soon slips, even less than its share.
 
     The program is convex, has a continuous gradient, and is quadratic but for the cones. Newton's method with the
     second derivatives of what is exceeded (semismooth, Qi and Sun 1993) and the best share of each step takes two or
@@ -101,10 +105,10 @@ class ForceControl:
         friction = np.array([grips[k].friction for k in self._rubs])
         # Shares of friction that may be used, by level and foot, are the first less what is to be left of the second.
         self._friction = np.array([*np.ones_like(LEVELS), FULL])[:, None] * friction
-        self._spared = np.array([*LEVELS, 0.0])[:, None] * friction
+        self._spared = LEVELLED[:, None] * friction
         self._rough = np.maximum(friction, TINY)
-        costs = [*(SPARED * DEARER**level for level in range(len(LEVELS))), LIMIT]  # of cones
-        self._costs = np.repeat([*costs, SPARED, LIMIT], len(friction))
+        costs = [*(SPARED * DEARER**level for level in range(len(LEVELS))), LIMIT]
+        self._costs = np.array([costs, costs])[:, :, None] * np.ones(len(friction))  # of cones, of pushes; by foot
         self._pull = np.array([grips[k].adhesion for k in self._rubs])
         self._turn, ease = np.eye(size), np.ones(size)  # the axes of holds, the normal last
         self._places = np.array([range(axes * k, axes * k + axes) for k in self._rubs], dtype=int).reshape(-1, axes)
@@ -119,7 +123,7 @@ class ForceControl:
         self._normals = np.eye(size)[self._places[:, -1]]
         self._moment = np.array([hold.max_moment for hold in turned])
         self._gripping = np.eye(size)[axes * len(holds) :]
-        self._last: Vector | None = None
+        self._last: Vector | None = None  # forces of the moment before
         self.steps = 0
 
     def forces(self, demand: Demand) -> Vector:
@@ -127,9 +131,8 @@ class ForceControl:
         program = _Program(self, demand)
         x = program.balanced()
         if program.exceeds(x):
-            x = self._last = program.solve(x, self._last)
-        else:
-            self._last = None
+            x = program.solve(x, self._last)
+        self._last = x
         result: Vector = self._turn.T @ x
         return result
 
@@ -173,7 +176,7 @@ class _Program:
         if len(control._moment):
             self._A = np.concatenate([self._A, control._gripping])
             self._c, self._most = np.append(self._c, 0.0 * control._moment), np.append(self._most, control._moment)
-        self._press = max(demand.press, LEAST)
+        self._presses = np.maximum(demand.press * LEVELLED, LEAST)[:, None]
         inside = np.tan(np.maximum(np.arctan(control._rough) - demand.turn, 0.0)) / control._rough
         self._shares = control._friction - np.maximum(demand.drop, 1.0 - inside) * control._spared  # (levels, feet)
         self._ease = control._ease * self._readiness() ** 2
@@ -181,7 +184,13 @@ class _Program:
     @cached_property
     def _weights(self) -> Vector:
         """What it costs to be beyond each limit, shape (c,)."""
-        return np.concatenate([self._control._costs, np.full(len(self._most), LIMIT)])
+        control = self._control
+        last = self._wished if control._last is None else control._last
+        pushes = np.maximum(last[control._along] + control._pull, TINY)
+        mean = sum(pushes.tolist()) / max(len(pushes), 1)
+        costs = control._costs.copy()
+        costs[0, :-1] *= np.minimum(np.maximum(mean / pushes, 1.0), 1.0 / FEEBLE) ** 2
+        return np.concatenate([costs.ravel(), np.full(len(self._most), LIMIT)])
 
     def _readiness(self) -> Vector:
         """How readily each force changes, shape (m,): a foot that hardly presses has no friction to spare."""
@@ -206,7 +215,7 @@ class _Program:
         slide = np.sqrt(np.add.reduce(across * across, axis=1) + TINY**2)
         torque = self._c - self._A @ x
         cones = slide - self._shares * push
-        excess = np.concatenate([cones.ravel(), self._press - push, LEAST - push, np.abs(torque) - self._most])
+        excess = np.concatenate([cones.ravel(), (self._presses - push).ravel(), np.abs(torque) - self._most])
         return excess, torque, across, slide
 
     def exceeds(self, x: Vector) -> bool:
@@ -229,7 +238,8 @@ class _Program:
         cones = -self._shares[:, :, None] * normals
         cones[:, np.arange(len(across))[:, None], across] = point.along
         torques = -point.turning[:, None] * self._A
-        return np.concatenate([cones.reshape(-1, len(point.x)), -normals, -normals, torques])
+        pushes = np.tile(-normals, (len(LEVELLED), 1))
+        return np.concatenate([cones.reshape(-1, len(point.x)), pushes, torques])
 
     def _curvature(self, point: _Point, slopes: Vector) -> Vector:
         """Half the Hessian, shape (m, m)."""

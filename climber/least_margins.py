@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from climber.plan_file import Plan
-from climber.plan_parts import MARGIN_KINDS, MarginKind, RobotPlan
+from climber.plan_parts import CAPS, MARGIN_KINDS, MarginKind, RobotPlan
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,7 @@ WORDS: dict[MarginKind, Words] = {
     "place": Words("hold displaced", "one hold off by {}", "mm", 1000.0, "m"),
     "normal": Words("normals turned", "holds turned by {}", "deg", 180.0 / math.pi, "rad"),
 }
-
-
-# Friction and normals have no direction that is worst; they are as great as they are told from here on.
-MOST_OF: dict[MarginKind, float] = {"friction": 0.93, "normal": 0.186}
+NEARLY = 0.98  # share of the greatest margins that are told, from which on they are as great as that
 
 
 def with_unit(kind: MarginKind, value: float, digits: int = 6) -> str:
@@ -77,8 +74,7 @@ class LeastMargin:
     @property
     def size(self) -> str:
         """The value as people read it."""
-        # Where nothing is worst the value is as great as they are told.
-        most = self.direction is None and self.value > MOST_OF.get(self.kind, 0.0)
+        most = self.direction is None and self.value > NEARLY * CAPS[self.kind]
         return f"{'≥ ' if most else ''}{WORDS[self.kind].size(self.value, 3)}"
 
     @property

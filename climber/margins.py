@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from climber.phase_instants import Moving, PhaseInstants
-from climber.plan_parts import MARGIN_KINDS, MarginKind, PhaseMargin
+from climber.plan_parts import CAPS, MARGIN_KINDS, MarginKind, PhaseMargin
 from climber.programs.grip_margins import ErrorMargin, FrictionError, NormalError
 from climber.programs.grips import wall_grips
 from climber.programs.margins import GAP, DisturbanceMargin, Worst
@@ -25,15 +25,6 @@ from climber.scenario_fields import KEPT
 from climber.stance import Vector
 from climber.wall import Wall
 
-# friction and mass as shares, push [N], center and place [m], normal [rad]
-CAPS: dict[MarginKind, float] = {
-    "friction": KEPT,
-    "push": 1000.0 * KEPT,
-    "mass": 0.7 * KEPT,
-    "center": 0.02 * KEPT,
-    "place": 0.02 * KEPT,
-    "normal": 0.2 * KEPT,
-}
 SAFE = 1.0 - 1e-6  # for the rounding of who checks them
 
 

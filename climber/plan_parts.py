@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
+from climber.scenario_fields import KEPT
 from climber.stance import Vector
 
 PhaseKind = Literal["shift", "swing"]
@@ -18,6 +19,15 @@ CutStage = Literal["transition", "motion", "torque"]
 RATES = ("speed", "acceleration", "jerk")
 MarginKind = Literal["friction", "push", "mass", "center", "place", "normal"]
 MARGIN_KINDS: tuple[MarginKind, ...] = get_args(MarginKind)
+# Greater margins are not told apart: friction and mass as shares, push [N], center and place [m], normal [rad].
+CAPS: dict[MarginKind, float] = {
+    "friction": KEPT,
+    "push": 1000.0 * KEPT,
+    "mass": 0.7 * KEPT,
+    "center": 0.02 * KEPT,
+    "place": 0.02 * KEPT,
+    "normal": 0.2 * KEPT,
+}
 Fact = bool | int | float | str
 
 

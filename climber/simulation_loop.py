@@ -25,7 +25,7 @@ TOUCH = 1e-5  # a foot so near to its hold has reached it [m]
 # A foot that is farther off its hold at the end of its swing makes the clock stop; nearer it approaches slower [m].
 NEAR = 0.0002
 LATE = 0.06  # by how much the clock may pass the end of a swing before the foot has reached its hold [s]
-GROWING = 0.2  # time in which a push, and weight that is not the model's, come on before the plan begins [s]
+GROWING = 0.5  # time in which a push, and weight that is not the model's, come on before the plan begins [s]
 RECORD = 100.0  # samples of a recording [Hz]
 
 

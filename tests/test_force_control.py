@@ -105,7 +105,7 @@ def test_forces_are_the_nearest_within_friction_and_torques(seed, axes, count, d
     assert (np.abs(demand.c - demand.A @ forces) - demand.most).max() < 1e-3
     # Of all forces the best by its own measure, and so no worse than those: they differ where much is to be gained by
     # a little more friction than should be used, which costs no more than all that is not as wished.
-    own, other = (control.cost(demand, x) for x in (forces, best))
+    own, other = (ForceControl(wall, range(count), axes, 0).cost(demand, x) for x in (forces, best))
     assert own <= other * (1.0 + 1e-6) + 1e-6
     assert excess(wall, axes, demand, forces, 1.0 - drop) <= np.sqrt(own / SPARED)
 
@@ -140,7 +140,17 @@ def test_friction_is_spared_by_all_feet_and_not_left_to_a_light_one():
     demand = Demand(wished, E, np.array([3.0, 1.0, 9.0]), np.zeros((1, 4)), np.zeros(1), np.array([FREE]), 0.9, 0.0)
     light, _, heavy, _ = ForceControl(wall, (0, 1), 2, 0).forces(demand)
     assert light + heavy == pytest.approx(3.0, abs=0.03)
-    assert light < 0.85 * 0.6 * 1.0
+    assert light / (0.6 * 1.0) < heavy / (0.6 * 9.0) < 0.6
+
+
+def test_a_light_foot_presses_nearly_as_hard_as_it_is_asked_to():
+    wall = Wall((Hold(ORIGIN, (0.0, 1.0, 0.0), 0.6), Hold(ORIGIN, (0.0, 1.0, 0.0), 0.6)))
+    E = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0]])
+    wished = np.array([0.0, 0.05, 0.0, 8.95])
+    demand = Demand(wished, E, np.array([0.0, 9.0]), np.zeros((1, 4)), np.zeros(1), np.array([FREE]), 0.0, 1.0)
+    _, light, _, heavy = ForceControl(wall, (0, 1), 2, 0).forces(demand)
+    assert light + heavy == pytest.approx(9.0, abs=1e-3)
+    assert light > 0.85
 
 
 def test_a_pin_pulls_and_turns_within_its_moment():

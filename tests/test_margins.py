@@ -16,8 +16,8 @@ from problems import hold
 
 from climber.demands import Standing
 from climber.dynamics import evaluate_at_rest
-from climber.margins import CAPS, phase_margins
-from climber.plan_parts import MarginKind, PhaseMargin
+from climber.margins import phase_margins
+from climber.plan_parts import CAPS, MarginKind, PhaseMargin
 from climber.programs.forces import wall_forces
 from climber.programs.grip_margins import ErrorMargin, FrictionError, NormalError
 from climber.programs.grips import wall_grips
