@@ -248,6 +248,21 @@ def test_by_the_fixed_law_a_leg_takes_longer_and_longer_the_less_friction_there_
     assert isinstance(answer, str) and "friction cone" in answer
 
 
+def test_pins_that_take_moments_beside_holds_that_do_not_leave_the_program_room() -> None:
+    leg = shifting((0.02, -0.01, 0.1))
+    first, *others = leg.body.wall.holds
+    durations = {}
+    for moment in (0.0, 0.3):
+        wall = Wall((replace(first, grip="pin", max_moment=moment), *others))
+        timing = timed(Body(leg.body.robot, wall), leg.contacts, [leg.path], MotionBudget())
+        assert not isinstance(timing, str)
+        samples, torques, how = timing
+        assert how.method == "conic"
+        assert not torques.moment[:, 1:].any()
+        durations[moment] = samples.time[-1]
+    assert durations[0.3] <= 1.001 * durations[0.0]
+
+
 def test_a_place_where_the_robot_cannot_stand_is_named_with_the_limb_that_slips() -> None:
     """The pelvis goes sideways until three feet hold it no more: its end is the worst place."""
     leg = shifting((0.03, 0.0, 0.0), friction=(0.3,) * 4, air=3, min_force=2.0)

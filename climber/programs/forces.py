@@ -30,6 +30,8 @@ from climber.wall import Wall
 
 Mask = NDArray[np.bool_]
 
+NOTHING = 1.0  # greatest multiple of a generator that has neither direction nor moment
+
 
 @dataclass(frozen=True)
 class ForceLimits:
@@ -62,7 +64,8 @@ class ContactForces:
         lower: Least multiple of each generator [N], shape (..., p).
         upper: Greatest multiple of each generator [N], shape (..., p).
         moments: Moment about z that comes with each multiple, shape (..., p): zero, or one for a generator whose
-            direction is zero and whose multiples are [N m]; None for no such generators.
+            direction is zero and whose multiples are [N m]; None for no such generators. Holds that take no moment
+            beside others that do have a generator of nothing.
         round: In space, where the three multiples are (u_1, u_2, s) of a friction cone, `lower[..., 2]` and
             `upper[..., 2]` its two apexes, shape (...); elsewhere each multiple is limited alone. None in the plane.
         section: What stands for the circle across the cones.
@@ -215,14 +218,18 @@ def _in_plane(wall: Wall) -> ContactForces:
         np.repeat(numbers["most"][:, None], 2, axis=1),
     )
     moment = numbers["moment"]
-    if not moment.any():
+    turns = moment > 0.0
+    if not turns.any():
         return forces
+    # Where there is no moment a multiple of nothing takes its place: limits without room between them would leave
+    # programs that look for forces strictly inside all limits with none.
+    most = np.where(turns, moment, NOTHING)
     return replace(
         forces,
         generators=np.concatenate([forces.generators, np.zeros((len(moment), 3, 1))], axis=2),
-        lower=np.column_stack([forces.lower, -moment]),
-        upper=np.column_stack([forces.upper, moment]),
-        moments=np.tile([0.0, 0.0, 1.0], (len(moment), 1)),
+        lower=np.column_stack([forces.lower, -most]),
+        upper=np.column_stack([forces.upper, most]),
+        moments=np.column_stack([np.zeros((len(moment), 2)), turns]),
     )
 
 
