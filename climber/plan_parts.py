@@ -19,6 +19,7 @@ CutStage = Literal["transition", "motion", "torque"]
 RATES = ("speed", "acceleration", "jerk")
 MarginKind = Literal["friction", "push", "mass", "center", "place", "normal"]
 MARGIN_KINDS: tuple[MarginKind, ...] = get_args(MarginKind)
+OBJECTIVE_KINDS: tuple[ObjectiveKind, ...] = get_args(ObjectiveKind)
 # Greater margins are not told apart: friction and mass as shares, push [N], center and place [m], normal [rad].
 CAPS: dict[MarginKind, float] = {
     "friction": KEPT,

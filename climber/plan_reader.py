@@ -13,13 +13,13 @@ import numpy as np
 from climber.plan_json import Node
 from climber.plan_parts import (
     MARGIN_KINDS,
+    OBJECTIVE_KINDS,
     RATES,
     Achieved,
     Cut,
     CutKind,
     CutStage,
     MarginKind,
-    ObjectiveKind,
     Phase,
     PhaseContact,
     PhaseKind,
@@ -79,7 +79,7 @@ def _size(node: Node) -> float:
 
 def _read_objective(node: Node) -> Achieved:
     fields = node.fields(["kind", "value"])
-    return Achieved(fields["kind"].choice(get_args(ObjectiveKind)), fields["value"].number())
+    return Achieved(fields["kind"].choice(OBJECTIVE_KINDS), fields["value"].number())
 
 
 def _read_entry(node: Node) -> tuple[float, float]:

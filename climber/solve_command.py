@@ -6,14 +6,14 @@ import argparse
 import json
 import time
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from rich.console import Console
 
 from climber.limit_table import told_in_short
 from climber.margin_table import margin_table
 from climber.plan import plan_climb
-from climber.plan_parts import ObjectiveKind
+from climber.plan_parts import OBJECTIVE_KINDS
 from climber.scenario import load_scenario
 from climber.words import moves_told
 
@@ -25,9 +25,7 @@ def add_solve_command(commands: Any) -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True, help="folder for plan.json and the pictures")
     parser.add_argument("--seed", type=_natural, help="instead of the scenario's")
     parser.add_argument("--time-limit", type=_positive, metavar="S", help="instead of the scenario's [s]")
-    parser.add_argument(
-        "--objective", choices=get_args(ObjectiveKind), help="what is to be little, instead of the scenario's"
-    )
+    parser.add_argument("--objective", choices=OBJECTIVE_KINDS, help="what is to be little, instead of the scenario's")
     parser.add_argument(
         "--improve",
         type=_seconds,

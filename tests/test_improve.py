@@ -18,12 +18,11 @@ from climber.manifold import Body
 from climber.margins import phase_margins
 from climber.phases import Curves, PhasePlanner, Stretch, Way
 from climber.plan import plan_climb
-from climber.plan_parts import ObjectiveKind
+from climber.plan_parts import OBJECTIVE_KINDS, ObjectiveKind
 from climber.scenario import Scenario, load_scenario
 from climber.verify import verify
 
 ROUNDS = 8
-KINDS: tuple[ObjectiveKind, ...] = ("length", "time", "margin")
 
 
 @cache
@@ -36,7 +35,7 @@ def improved(kind: ObjectiveKind, seed: int = 0, rounds: int = ROUNDS) -> tuple[
     return way, better, progress
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", OBJECTIVE_KINDS)
 def test_values_on_record_go_down_and_the_last_is_that_of_the_climb(kind: ObjectiveKind) -> None:
     planner, _ = beginning(objective=kind, free_start=True)
     way, better, progress = improved(kind)
@@ -47,7 +46,7 @@ def test_values_on_record_go_down_and_the_last_is_that_of_the_climb(kind: Object
     assert values[-1] == planner.objective.value(planner.body, better.motions)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", OBJECTIVE_KINDS)
 def test_improved_climbs_are_feasible_and_go_on_where_they_stop(kind: ObjectiveKind) -> None:
     _, better, _ = improved(kind)
     for stretch, curves, motion in zip(better.stretches, better.curves, better.motions, strict=True):
@@ -116,7 +115,7 @@ def small(**budget: object) -> Scenario:
     return replace(scenario, budget=replace(scenario.budget, **budget))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", OBJECTIVE_KINDS)
 def test_plans_for_any_objective_hold_and_say_how_good_they_are(kind: ObjectiveKind) -> None:
     plan = plan_climb(small(improve_rounds=4), objective=kind)
     robot = plan.robots[0]
@@ -127,7 +126,7 @@ def test_plans_for_any_objective_hold_and_say_how_good_they_are(kind: ObjectiveK
 
 
 def test_each_objective_is_served_best_by_the_climb_planned_for_it() -> None:
-    climbs = {kind: beginning(objective=kind, free_start=True) for kind in KINDS}
+    climbs = {kind: beginning(objective=kind, free_start=True) for kind in OBJECTIVE_KINDS}
     for kind, (planner, _) in climbs.items():
         values = {other: planner.objective.value(planner.body, way.motions) for other, (_, way) in climbs.items()}
         assert min(values, key=values.__getitem__) == kind

@@ -8,7 +8,8 @@ from climbs import beginning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from climber.objective import KINDS, LITTLE, Norm, Objective
+from climber.objective import LITTLE, Norm, Objective
+from climber.plan_parts import OBJECTIVE_KINDS
 from climber.programs.equilibrium import SupportProgram
 
 seeds = st.integers(0, 2**32 - 1)
@@ -121,7 +122,7 @@ def test_a_posture_amid_its_support_costs_least_of_those_above_it_for_the_margin
 
 def test_there_are_three_objectives_and_length_counts_a_little_for_the_margin() -> None:
     planner, _ = beginning()
-    assert KINDS == ("length", "time", "margin")
+    assert OBJECTIVE_KINDS == ("length", "time", "margin")
     d = np.ones(11)
     length, margin = (Objective.of(kind, planner.body).step(d) for kind in ("length", "margin"))
     assert margin == pytest.approx(LITTLE * length)

@@ -11,8 +11,9 @@ from climbs import beginning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from climber.objective import KINDS, Objective, ObjectiveKind
+from climber.objective import Objective
 from climber.phases import instants
+from climber.plan_parts import OBJECTIVE_KINDS, ObjectiveKind
 from climber.programs.posture_chain import Instant, PostureChain
 from climber.stance import Vector
 
@@ -49,7 +50,7 @@ def feasible(instant: Instant, q: Vector) -> bool:
 
 
 @settings(max_examples=8, deadline=None)
-@given(seeds, st.sampled_from(KINDS))
+@given(seeds, st.sampled_from(OBJECTIVE_KINDS))
 def test_postures_drawn_together_cost_no_more_and_are_feasible(seed: int, kind: ObjectiveKind) -> None:
     given_ = candidates(seed)
     chain = PostureChain(given_, Objective.of(kind, beginning()[0].body))
@@ -72,7 +73,7 @@ def test_postures_that_are_not_free_stay(seed: int) -> None:
             assert np.array_equal(q, instant.q)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", OBJECTIVE_KINDS)
 def test_no_posture_nearby_is_better_than_where_the_chain_ends(kind: ObjectiveKind) -> None:
     """A second method: looking around at random."""
     rng = np.random.default_rng(1)
