@@ -81,10 +81,21 @@ def test_tables_tell_what_was_not_met_and_what_was_not_measured():
 
 def test_parts_are_run_for_their_rows_and_their_exit_code(capfd):
     code = "import sys; from benchmarks.rows import Row; print('told'); Row('x', 1.0, 's').show(); sys.exit(3)"
-    rows, exit_code = everything.stream([sys.executable, "-c", code])
+    rows, failure = everything.stream([sys.executable, "-c", code])
     assert rows == [Row("x", 1.0, "s")]
-    assert exit_code == 3
+    assert failure == "exit code 3, see above"
     assert capfd.readouterr().out == "told\n"
+
+
+def test_a_part_that_takes_too_long_is_stopped_with_its_processes_and_keeps_its_rows():
+    # Its child would keep the pipe open, and so the benchmarks waiting, for a minute.
+    code = (
+        "import subprocess, sys; from benchmarks.rows import Row; Row('x', 1.0, 's').show(); "
+        "subprocess.run([sys.executable, '-c', 'import time; time.sleep(60)'])"
+    )
+    rows, failure = everything.stream([sys.executable, "-c", code], seconds=2.0)
+    assert rows == [Row("x", 1.0, "s")]
+    assert failure == "stopped after 0.0333 minutes"
 
 
 def test_every_part_that_is_named_exists_and_every_file_is_a_part():
