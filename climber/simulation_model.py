@@ -39,7 +39,9 @@ THICKNESS = 0.004  # of the boxes [m]
 RIM = 0.004  # the box reaches this far beyond the patch, so that a foot at its edge, or rolled off it, is on it [m]
 DEPTH = 0.005  # least half extent of the box across the wall plane [m]
 STEPS = 4  # of the plant to one of the controllers
-POINTS = 4  # spheres of a foot, all in one place: feet that should stick creep in proportion to what one sphere carries
+# Spheres of a foot, all in one place: feet that should stick creep in proportion to what one sphere carries. By the
+# axes that robots move in: in space they press harder on their holds, and longer.
+POINTS = {2: 4, 3: 8}
 # Of a foot's spheres together, and of a hold [N/m]; one gives way after the other. Were it ten times more, forces would
 # swing from step to step till feet slide.
 STIFFNESS = 1e7
@@ -103,6 +105,7 @@ class World:
         self.plant.set_stiction_tolerance(STICTION)
         self.plant.SetUseSampledOutputPorts(False)
         self.plant.mutable_gravity_field().set_gravity_vector(wall.gravity)
+        self._points = POINTS[max(robot.dimension for robot in robots)]
         frames = [
             [self.plant.GetFrameByName(limb.foot, instance) for limb in robot.limbs]
             for robot, instance in zip(robots, self._instances, strict=True)
@@ -137,9 +140,9 @@ class World:
         self.touch([])
 
     def _add_foot(self, frame: Any, name: str, friction: float) -> list[GeometryId]:
-        pose, properties = frame.GetFixedPoseInBodyFrame(), _material(friction)
+        pose, properties = frame.GetFixedPoseInBodyFrame(), _material(friction, self._points)
         add, sphere = self.plant.RegisterCollisionGeometry, Sphere(FOOT_RADIUS)
-        return [add(frame.body(), pose, sphere, f"{name}_{k}", properties) for k in range(POINTS)]
+        return [add(frame.body(), pose, sphere, f"{name}_{k}", properties) for k in range(self._points)]
 
     def _add_hold(self, hold: Hold, number: int, friction: float) -> GeometryId:
         along, out = self.wall.tangents[number], self.wall.normals[number]
@@ -148,7 +151,7 @@ class World:
         half = hold.half_width + RIM
         box = Box(2 * half, THICKNESS, 2 * max(half, DEPTH))
         body = self.plant.world_body()
-        properties = _material(friction)
+        properties = _material(friction, self._points)
         return self.plant.RegisterCollisionGeometry(body, RigidTransform(R_WH, p_WH), box, f"hold_{number}", properties)
 
     def _add_pins(self, pins: Sequence[Touch]) -> dict[Touch, MultibodyConstraintId]:
@@ -284,11 +287,11 @@ class _Friction:
         return hold.friction * self.foot / (2 * self.foot - hold.friction)
 
 
-def _material(friction: float) -> ProximityProperties:
+def _material(friction: float, points: int) -> ProximityProperties:
     properties = ProximityProperties()
     AddContactMaterial(
         dissipation=DISSIPATION,
-        point_stiffness=STIFFNESS / POINTS,
+        point_stiffness=STIFFNESS / points,
         friction=CoulombFriction(friction, friction),
         properties=properties,
     )
