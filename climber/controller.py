@@ -37,7 +37,9 @@ from climber.robot import Indices
 from climber.stance import Vector
 from climber.wall import Wall
 
-DAMPING = 0.005  # a limb that moves its foot less than so much a radian is nearly straight [m]
+# A limb that moves its foot less than so much a radian is nearly straight [m]: one with links of 0.1 m that is bent by
+# less than 0.3. With a third of it, a limb whose foot had rolled 0.8 mm bent back where it was to go through straight.
+DAMPING = 0.015
 PRESS = 0.15  # share of a disturbance's force that every foot presses with at least
 GIVING = 3e-5  # how readily the pelvis gives way to joints [m^2]
 
@@ -50,7 +52,7 @@ class Gains:
         pelvis: Natural frequency of the pelvis's errors [1/s]; they are critically damped.
         joint: Natural frequency of a free limb's joint errors [1/s]; critically damped.
         foot: How fast a holding foot that moves is brought to rest [1/s].
-        approach: A foot that ends its swing off its hold goes on along the hold's normal this fast [m/s].
+        approach: A foot that ends its swing off its hold goes on towards it this fast [m/s].
         settle: A robot that starts elsewhere than planned, or the joints of a limb that lets go so, are led back to the
             plan in about this time [s].
         pelvis_error: The clock slows when the pelvis is this far off [m], and stops at twice of it.
@@ -197,7 +199,9 @@ class Controller:
 
     # --- forces and torques -------------------------------------------------------------------------------------------
 
-    def command(self, time: float, rate: float, quicker: float, q: Vector, v: Vector, toward: float = 0.0) -> Command:
+    def command(
+        self, time: float, rate: float, quicker: float, q: Vector, v: Vector, toward: Vector | None = None
+    ) -> Command:
         """What the motors do.
 
         Args:
@@ -206,7 +210,8 @@ class Controller:
             quicker: How fast that changes [1/s].
             q: Measured positions [m, rad], shape (nq,).
             v: Measured velocities [m/s, rad/s], shape (nv,).
-            toward: If the limb that arrives is to go on towards its hold, how fast: 1 against the normal, -1 along it.
+            toward: If the limb that arrives is to go on towards its hold, which way in W, and how fast beside
+                `Gains.approach`, shape (3,).
         """
         stance, gains, robot = self._stance, self.gains, self.robot
         desired = self.reference.at(self.phase, time)
@@ -218,18 +223,19 @@ class Controller:
         sampler.Jdot_v(Jdot_v)
         # (1)
         self.error = plant.MapQDotToVelocity(context, desired.q - q)
-        if toward:
-            self._approach(toward, q)
+        following = self._following(J)
+        followed = following @ J
+        motions = stance.alone - followed[:, stance.free]
+        if toward is not None:
+            self._approach(toward, q, motions)
         else:
             self._aside *= 1.0 - self.time_step / gains.settle
         # Errors that the feet's places do not permit to undo are none.
-        following, error = self._following(J), self.error - self._aside
-        followed = following @ J
+        error = self.error - self._aside
         error -= followed @ error
         wanted = rate**2 * desired.vd + quicker * desired.v + self._kp * error + self._kd * (rate * desired.v - v)
         # (2)
         vd = wanted - followed @ wanted - following @ (gains.foot * (J @ v) + Jdot_v)
-        motions = stance.alone - followed[:, stance.free]
         # (3)
         M = plant.CalcMassMatrix(context)
         moved = M @ motions
@@ -313,19 +319,30 @@ class Controller:
         pelvis = solved(eased @ J.T + 1e-12 * few, eased)
         return solved(limbs @ limbs.T + DAMPING**2 * few, limbs + DAMPING**2 * pelvis).T
 
-    def _approach(self, toward: float, q: Vector) -> None:
-        """Moves the place that the arriving limb's foot is led to, by what it goes in a time step."""
+    def _approach(self, toward: Vector, q: Vector, motions: Vector) -> None:
+        """Moves the place that the arriving limb's foot is led to, by what it goes in a time step.
+
+        Its joints move it, and what they cannot do the pelvis does, as holding feet permit.
+
+        Args:
+            toward: As in `command`.
+            q: Positions [m, rad], shape (nq,).
+            motions: How everything moves with the pelvis and the free joints, shape (nv, n).
+        """
         if self.arriving is None:
             return
-        limb, hold = self.arriving
+        limb, _ = self.arriving
         joints, axes = self.robot.limbs[limb].v, self._axes
-        going = -toward * self.gains.approach * self.wall.normals[hold][:axes]
         feet, J = self._feet, np.empty((self._feet.num_rows, len(self.error)))
         feet.plant.SetPositions(feet.context, q)
         feet.J(J)
-        J = J[axes * limb : axes * limb + axes, joints]
-        quick = J.T @ solved(J @ J.T + DAMPING**2 * np.eye(axes), going)
-        self._aside[joints] -= self.time_step * quick
+        J = J[axes * limb : axes * limb + axes]
+        mine, every = J[:, joints], J @ motions
+        share = solved(mine @ mine.T + DAMPING**2 * np.eye(axes), self.gains.approach * toward[:axes])
+        eased = self._giving[self._stance.free, None] * every.T
+        quick = motions @ (eased @ solved(every @ eased + 1e-12 * np.eye(axes), DAMPING**2 * share))
+        quick[joints] += mine.T @ share
+        self._aside -= self.time_step * quick
 
     def _act(self, torque: Vector, forces: Vector) -> Command:
         """The command that goes with torques and contact forces."""

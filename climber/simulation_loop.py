@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ CATCH_UP = 0.1  # time in which the clock goes from standing to its full pace [s
 TOUCH = 1e-5  # a foot so near to its hold has reached it [m]
 # A foot that is farther off its hold at the end of its swing makes the clock stop; nearer it approaches slower [m].
 NEAR = 0.0002
+NEAR_PIN = 0.001  # likewise one that is to grip a pin: it has to meet it in every direction [m]
 LATE = 0.06  # by how much the clock may pass the end of a swing before the foot has reached its hold [s]
 GROWING = 0.5  # time in which a push, and weight that is not the model's, come on before the plan begins [s]
 RECORD = 100.0  # samples of a recording [Hz]
@@ -159,7 +161,7 @@ class Loop:
         world, commands = self.world, []
         for watch, (q, v) in zip(self.watches, world.state(), strict=True):
             controller = watch.controller
-            toward = self._toward(watch) if controller.landing else 0.0
+            toward = self._toward(watch) if controller.landing else None
             command = controller.command(self.clock, self._rate, self._quicker, q, v, toward)
             commands.append(command)
             if round(self.elapsed / world.time_step) % round(1.0 / (RECORD * world.time_step)) == 0:
@@ -184,19 +186,36 @@ class Loop:
         more = self.world.weight(watch.number) - controller.weight if self._heavier and grown < 1.0 else 0.0
         return controller.pushed(grown * push) - (1.0 - grown) * more
 
-    def _toward(self, watch: Watch) -> float:
-        """How a limb that ended its swing off its hold has to go on: 1 towards it, -1 out of it, less when near."""
-        gap = self._gap(watch)
-        return min(max(gap / NEAR, -1.0), 1.0) if abs(gap) > TOUCH else 0.0
+    def _toward(self, watch: Watch) -> Vector | None:
+        """How a limb that ended its swing off its hold has to go on in W, shape (3,): 1 long, less when near.
 
-    def _gap(self, watch: Watch) -> float:
-        """How far the foot of the limb that is to take hold is from the hold, along the normal [m]."""
-        arriving = watch.controller.arriving
-        if arriving is None or self.world.wall.holds[arriving[1]].grip == "pin":
-            return 0.0
-        limb, hold = arriving
+        None if it has reached its hold.
+        """
+        way = self._way(watch)
+        left = math.hypot(*way.tolist())
+        return way / max(left, NEAR_PIN if self._grips_pin(watch) else NEAR) if left > TOUCH else None
+
+    def _way(self, watch: Watch) -> Vector:
+        """From the foot of the limb that is to take hold to its hold in W [m], shape (3,).
+
+        It feels its way to a pin in every direction that it moves in, and to other holds along their normals.
+        """
+        controller, wall, way = watch.controller, self.world.wall, np.zeros(3)
+        if controller.arriving is None:
+            return way
+        limb, hold = controller.arriving
         place, _ = self.world.foot(watch.number, limb)
-        return float(self.world.wall.normals[hold] @ (place - self.world.wall.positions[hold]))
+        axes, off = controller.robot.dimension, place - wall.positions[hold]
+        if self._grips_pin(watch):
+            way[:axes] = -off[:axes]
+            return way
+        way -= float(wall.normals[hold] @ off) * controller.wall.normals[hold]
+        return way
+
+    def _grips_pin(self, watch: Watch) -> bool:
+        """Whether the limb that is to take hold does so on a pin."""
+        arriving = watch.controller.arriving
+        return arriving is not None and self.world.wall.holds[arriving[1]].grip == "pin"
 
     def _tick(self) -> None:
         """The plan's clock goes on, as fast as the tracking allows, and phases change.
@@ -204,7 +223,7 @@ class Loop:
         Where a foot has yet to find its hold the clock stops, gently, for the sake of other robots on their way.
         """
         step = self.world.time_step
-        lost = any(watch.controller.landing and abs(self._gap(watch)) > NEAR for watch in self.watches)
+        lost = any(watch.controller.landing and math.hypot(*self._way(watch).tolist()) > NEAR for watch in self.watches)
         pace = 0.0 if lost or self.elapsed < self._growing else min(watch.controller.pace for watch in self.watches)
         change = min(max(pace - self._rate, -step / CATCH_UP), step / CATCH_UP)
         rate = min(max(self._rate + change, 0.0), 1.0)
@@ -217,7 +236,7 @@ class Loop:
         changed = False
         for watch in self.watches:
             if not watch.controller.done and self.clock >= watch.controller.end:
-                watch.controller.landing = self._toward(watch) != 0.0
+                watch.controller.landing = self._toward(watch) is not None
                 if not watch.controller.landing:
                     watch.controller.advance()
                     watch.enter()

@@ -22,7 +22,7 @@ from movers import LIMBS, Climber, Line, step_phases
 from climber.least_margins import least_by_kind
 from climber.margins import phase_margins
 from climber.plan_file import Plan
-from climber.plan_parts import Achieved, Cut, MarginKind, Phase, RobotPlan
+from climber.plan_parts import Achieved, Cut, MarginKind, Phase, PhaseContact, RobotPlan
 from climber.robot import Model, Robot
 from climber.scenario import scenario_from_text
 from climber.simulation import Perturbation
@@ -203,6 +203,45 @@ def still_plan(ground: Ground, pelvis: tuple[float, float, float], joints: Seque
     at = {limb: limb for limb in range(4)}
     phase = Climber(robot, joints).phase(ground, 0, at, Line(place, place), Line(feet, feet), 0.0, 0.02)
     return _plan(ground.scenario("standing", STILL_ROBOT), robot, [(0, 1, 2, 3)], [phase])
+
+
+def through_straight_plan(bend: float = 0.6, duration: float = 0.8) -> Plan:
+    """All feet hold, and the pelvis lets the right front limb go through straight to the opposite bend.
+
+    Args:
+        bend: The angle of its second joint, at the end that with the other sign [rad].
+        duration: How long it takes [s].
+    """
+    robot, feet, held = Robot(Model.load(QUADRUPED)), STEP.positions[:4], range(4)
+    climber, way, hip = Climber(robot, KNEES_OUT), np.array([0.8, 0.6]), np.array([0.025, 0.0433])
+    time, rows = np.linspace(0.0, duration, 2 * int(50 * duration)), []
+    for tau in time / duration:
+        angle = Line(np.array(bend), np.array(-bend)).at(tau, duration)[0]
+        climber.q[robot.limbs[0].q[1]] = angle
+        # Both links are 0.1 m long.
+        rows.append(climber.pose(np.array([*(feet[0] - 0.2 * np.cos(angle / 2) * way - hip), 0.0]), feet))
+    q = np.array(rows)
+    v = np.gradient(q, time, axis=0)
+    vd = np.gradient(v, time, axis=0)
+    wish, told = climber.centered(held, STEP, held), []
+    for now in zip(q, v, vd, strict=True):
+        robot.plant.SetPositionsAndVelocities(climber.context, np.concatenate(now[:2]))
+        told.append(climber.forces(now[2], held, wish))
+    force, torque = (np.array(column) for column in zip(*told, strict=True))
+    points, force = np.pad(feet, ((0, 0), (0, 1))), np.pad(force, ((0, 0), (0, 0), (0, 1)))
+    phase = Phase(
+        kind="shift",
+        limb=None,
+        stance=0,
+        contacts=tuple(PhaseContact(LIMBS[i], i, points[i]) for i in held),
+        time=time,
+        q=q,
+        v=v,
+        vd=vd,
+        torque=torque,
+        force={limb: force[:, i] for i, limb in enumerate(LIMBS)},
+    )
+    return _plan(STEP.scenario("through straight", STILL_ROBOT), robot, [(0, 1, 2, 3)], [phase])
 
 
 # The centre of mass is 0.01 mm inside the support interval.

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from plans import ERRORS, STEP, edited, just_within, step_plan, still_plan
+from plans import ERRORS, STEP, edited, just_within, step_plan, still_plan, through_straight_plan
 from stored import planned
 
 from climber import simulation_model
@@ -25,6 +25,7 @@ from climber.robot import Model, Robot
 from climber.scene import Scene
 from climber.simulate import TIME_STEP, certified, monte_carlo, simulate
 from climber.simulation import Perturbation, Simulation
+from climber.simulation_loop import Loop, Setting
 from climber.simulation_model import FOOT_RADIUS, Touch, World
 from climber.simulation_page import recorded
 from climber.simulation_watch import Footing
@@ -230,6 +231,34 @@ def test_a_swinging_foot_looks_for_a_hold_that_is_elsewhere(error):
         simulation = simulate(step_plan(), Perturbation(hold_error=error, seed=seed))
         assert not simulation.fell
         assert simulation.robots[0].track.phase.max() == 2
+
+
+def test_a_hand_meets_a_displaced_pin_before_it_grips_it():
+    loop = Loop(Setting(planned("double_link")), Perturbation(hold_error=0.003), TIME_STEP)
+    (watch,) = loop.watches
+    for hands in (2, 1):  # both hold, one swings
+        while loop.going and len(watch.controller.touches) == hands:
+            ((_, before),) = loop.world.state()
+            loop.step()
+    pins = {limb: loop.world.wall.positions[hold] for limb, (hold, _) in watch.controller.touches.items()}
+    gaps = [np.linalg.norm((loop.world.foot(0, limb)[0] - pin)[:2]) for limb, pin in pins.items()]
+    loop.step()
+    ((_, after),) = loop.world.state()
+    assert len(pins) == 2 and max(gaps) < 2e-5
+    # [rad/s] in two time steps; 5 were the hand pulled to the pin from where the plan has it.
+    assert np.abs(after - before).max() < 0.2
+
+
+@pytest.mark.parametrize("rolled", [0.0, 0.0008, -0.0008])
+def test_a_limb_goes_through_straight_though_its_foot_is_not_quite_where_it_is_to_be(rolled):
+    # Rolling by a right angle moves a foot by 0.8 mm.
+    side = math.copysign(1.0, rolled)
+    away = Perturbation(hold_error=abs(rolled), hold=0, direction=(-0.8 * side, -0.6 * side, 0.0))
+    (robot,) = simulate(through_straight_plan(), away).robots
+    first, *_, last = robot.track.q[:, robot.positions.index("right_front_knee")]
+    assert not robot.fell
+    assert robot.slip < 1e-4
+    assert first > 0.5 and last < -0.5
 
 
 def test_a_heavier_robot_is_still_on_its_plan():
