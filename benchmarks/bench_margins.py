@@ -29,6 +29,7 @@ from climber.scenario import load_scenario
 from climber.simulate import simulate
 from climber.simulation import Perturbation, Simulation
 
+NEARLY_ALL = 0.99  # of friction or mass may be missing
 PLANAR = ("basic", "higher", "three_limbed", "avoid", "double_link")
 
 
@@ -53,7 +54,7 @@ def errors(plan: Plan, share: float, seeds: int) -> Iterator[tuple[LeastMargin, 
         size = share * least.value
         if least.kind in ("friction", "mass"):
             signs = (1.0,) if least.kind == "friction" else (1.0, -1.0)
-            some = [Perturbation.of(least.kind, sign * size) for sign in signs]
+            some = [Perturbation.of(least.kind, sign * min(size, NEARLY_ALL)) for sign in signs]
         else:
             holds: list[int | None] = [None]
             if least.kind == "place":

@@ -14,12 +14,16 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
+import numpy as np
+
 from climber.least_margins import least_margins
 from climber.plan_file import Plan
 from climber.simulation import SLIP_LIMIT, Perturbation, Simulation
 from climber.simulation_loop import Loop, Setting
+from climber.stance import Vector
 
 TIME_STEP = 0.002  # [s]
+SAME = 1e-4  # [m, rad, and by the second] robots nearer to where others were at the same phases go on as those did
 
 
 def simulate(
@@ -39,20 +43,55 @@ def simulate(
     Raises:
         ClimberError: If the plan's scenario or a model cannot be read, or does not go with the plan.
     """
+    (result,) = simulate_starts(plan, [perturbation or Perturbation()], slip_limit, time_step)
+    return result
+
+
+def simulate_starts(
+    plan: Plan | Setting,
+    perturbations: Sequence[Perturbation],
+    slip_limit: float = SLIP_LIMIT,
+    time_step: float = TIME_STEP,
+) -> list[Simulation]:
+    """Climbs a plan from several starts, where nothing differs but how the robots start.
+
+    The first climb is to its end. Others are until all robots are in the state, feet and all, that they were in during
+    an earlier climb as the same phases began, to `SAME`: what comes then is that climb again.
+
+    Args:
+        plan: The plan.
+        perturbations: How the world differs from the plan's, and where the robots start.
+        slip_limit: What a holding foot may slip [m].
+        time_step: Of the simulation and of the controllers [s].
+
+    Raises:
+        ClimberError: If the plan's scenario or a model cannot be read, or does not go with the plan.
+    """
     setting = plan if isinstance(plan, Setting) else Setting(plan)
-    perturbation = perturbation or Perturbation()
-    began = time.perf_counter()
-    loop = Loop(setting, perturbation, time_step)
-    while loop.going:
-        loop.step()
-    return Simulation(
-        robots=tuple(watch.result() for watch in loop.watches),
-        perturbation=perturbation,
-        planned=setting.duration,
-        simulated=loop.elapsed,
-        seconds=time.perf_counter() - began,
-        slip_limit=slip_limit,
-    )
+    known: dict[tuple[int, ...], Vector] = {}
+    result = []
+    for perturbation in perturbations:
+        began, met = time.perf_counter(), False
+        phases: tuple[int, ...] = ()
+        loop = Loop(setting, perturbation, time_step)
+        while loop.going and not met:
+            loop.step()
+            now = tuple(watch.controller.phase for watch in loop.watches)
+            if now != phases:
+                phases, state = now, np.concatenate([part for robot in loop.world.state() for part in robot])
+                before = known.setdefault(phases, state)
+                met = before is not state and bool(np.abs(before - state).max() < SAME)
+        result.append(
+            Simulation(
+                robots=tuple(watch.result() for watch in loop.watches),
+                perturbation=perturbation,
+                planned=setting.duration,
+                simulated=loop.elapsed,
+                seconds=time.perf_counter() - began,
+                slip_limit=slip_limit,
+            )
+        )
+    return result
 
 
 @dataclass(frozen=True)

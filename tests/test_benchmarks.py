@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from concurrent.futures import Future
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from plans import step_plan
 from rich.console import Console
 
 from benchmarks import __main__ as everything
-from benchmarks import bench_graph, bench_solve, bench_swing, bench_task
+from benchmarks import bench_graph, bench_simulate, bench_solve, bench_swing, bench_task
 from benchmarks.bench_swing import MODEL, body, climb, our_swing, peer_swing, sound
 from benchmarks.peers.thesis_ompl import JOINT_LIMIT, Contacts, Geometry, ThesisSwing
 from benchmarks.rows import Row, markdown, table
@@ -199,6 +200,17 @@ def test_the_length_of_a_motion_is_that_of_its_phases():
     lengths = [np.linalg.norm(np.diff(phase.q, axis=0), axis=1).sum() for phase in plan.robots[0].phases]
     assert bench_solve.path_length(plan) == pytest.approx(sum(lengths))
     assert len(lengths) > 1
+
+
+def test_a_climb_that_breaks_off_takes_no_other_with_it(capsys):
+    broken, sound = Future(), Future()
+    broken.set_exception(ArithmeticError("singular"))
+    sound.set_result([1, 2])
+    assert bench_simulate.ended("basic", [broken, sound]) == [1, 2]
+    assert capsys.readouterr().out == "basic: ArithmeticError: singular\n"
+    bench_simulate.tell("basic", 20, [])
+    row = Row.read(capsys.readouterr().out)
+    assert row is not None and row.measured is None and "basic" in row.what
 
 
 def test_a_climb_that_is_not_found_is_told():
