@@ -186,7 +186,7 @@ class Controller:
         for limb, its in enumerate(self.robot.limbs):
             if limb in before or limb in self._stance.touches:
                 self._aside[its.v] = 0.0
-                self._disturbance.forget(its.v, self.weight)
+                self._disturbance.forget(its.v)
             if limb in before and limb not in self._stance.touches:
                 self._aside[its.v] = self.error[its.v]
 
@@ -245,7 +245,7 @@ class Controller:
         disturbance.observe(v[stance.free], stance.free, motions.T @ moved)
         load = sampler.load(vd)
         disturbance.weigh(load, self._at_center, stance.free, motions)
-        more, rest = disturbance.parts(load, stance.free, motions)
+        more, rest = disturbance.parts(load, stance.free)
         load = load - more - rest
         # (4)
         base = slice(len(robot.base_v))

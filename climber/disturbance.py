@@ -5,7 +5,7 @@ limbs that hold nothing. A disturbance d, a generalised force, is felt as f = N^
 a time dt, Lambda = N^T M N, and that is what is observed (the observer of momentum, De Luca and Mattone 2003, Haddadin
 et al. 2017, 4.2, in these coordinates and discrete):
 
-    (1) f' = k Lambda (nu - nu_expected) / dt
+    (1) f' = f'_expected + k Lambda (nu - nu_expected) / dt
 
 All d with N^T d = f move the robot alike, but they press differently on the feet that hold. Three causes are told
 apart: a robot that is heavier than its model by a share s, a push F at its centre of mass, and a centre of mass that is
@@ -16,7 +16,8 @@ pelvis's turning,
 
 While all limbs hold there are too few numbers in f to add causes up, so the one that by itself comes nearest in the
 sense of least squares, of late, is taken for it: errors come one at a time. A robot that is heavier has d = -s (M vd +
-h), and what remains of f acts on the pelvis and the free limbs themselves.
+h), which changes as soon as it is to move otherwise or a limb lets go; what remains of f acts on the pelvis and the
+free limbs themselves, and is expected to stay as it is.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Disturbance:
             time_step: Between observations [s].
         """
         self.heavier = 0.0
-        self._step, self._felt = time_step, np.zeros(len(robot.velocity_names))
+        self._step, self._rest = time_step, np.zeros(len(robot.velocity_names))
         self._scale = np.full(len(robot.velocity_names), 1.0 / LEVER)
         self._scale[robot.origin_q] = 1.0  # the pelvis's velocities are in the order of its positions
         self._turns, self._pelvis = self._couples(robot), robot.base_v
@@ -71,14 +72,13 @@ class Disturbance:
         _, sizes, ways = np.linalg.svd(moments, full_matrices=False)
         return np.asarray(ways * (sizes > LITTLE)[:, None])
 
-    def forget(self, joints: Indices, weight: Vector) -> None:
-        """A limb lets go or takes hold: what its joints feel from then on is something else, their weight at first.
+    def forget(self, joints: Indices) -> None:
+        """A limb lets go or takes hold: what its joints feel from then on is something else, at first their weight.
 
         Args:
             joints: Places of its joints among the velocities.
-            weight: Of the model as generalised forces [N, N m], shape (nv,).
         """
-        self._felt[joints], self._expected = self.heavier * weight[joints], None
+        self._rest[joints], self._expected = 0.0, None
 
     def expect(self, nu: Vector) -> None:
         """The velocities of free motions that there will be at the next observation if nothing disturbs the robot."""
@@ -96,7 +96,7 @@ class Disturbance:
             return
         most = MOST * self._step
         off = np.minimum(np.maximum(nu - self._expected, -most), most)
-        self._felt[free] += FINDING * (inertia @ off)
+        self._rest[free] += FINDING * (inertia @ off)
 
     def weigh(self, load: Vector, push: Vector, free: Indices, motions: Vector) -> None:
         """Looks for the cause of what is felt.
@@ -107,8 +107,8 @@ class Disturbance:
             free: As in `observe`.
             motions: N, shape (nv, n).
         """
-        scale = self._scale[free]
-        felt, mass = self._felt[free] * scale, -(motions.T @ load) * scale
+        scale, needed = self._scale[free], motions.T @ load
+        felt, mass = (self._rest[free] - self.heavier * needed) * scale, -needed * scale
         share, missed = 0.0, np.zeros(3)
         for number, cause in enumerate((mass[None], push[:, free] * scale, self._turns[:, free] * scale)):
             found = solved(cause @ cause.T + LITTLE * np.eye(len(cause)), cause @ felt)
@@ -118,19 +118,20 @@ class Disturbance:
         self._missed += WEIGHING * self._step * (missed - self._missed)
         if self._missed.argmin() != 0:
             share = 0.0
-        self.heavier += WEIGHING * self._step * (share - self.heavier)
+        more = WEIGHING * self._step * (share - self.heavier)
+        self.heavier += more
+        self._rest[free] += more * needed
 
-    def parts(self, load: Vector, free: Indices, motions: Vector) -> tuple[Vector, Vector]:
+    def parts(self, load: Vector, free: Indices) -> tuple[Vector, Vector]:
         """What disturbs the robot as generalised forces [N, N m], shape (nv,): by its masses, and the rest.
 
         Args:
             load: As in `weigh`.
             free: As in `observe`.
-            motions: N, shape (nv, n).
         """
-        more, rest = -self.heavier * load, np.zeros(len(load))
-        rest[free] = self._felt[free] - motions.T @ more
-        return more, rest
+        rest = np.zeros(len(load))
+        rest[free] = self._rest[free]
+        return -self.heavier * load, rest
 
     def size(self, rest: Vector) -> float:
         """How hard the pelvis is pushed and turned by what disturbs it [N], `rest` as `parts` has it."""

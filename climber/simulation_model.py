@@ -42,10 +42,11 @@ STEPS = 4  # of the plant to one of the controllers
 # Spheres of a foot, all in one place: feet that should stick creep in proportion to what one sphere carries. By the
 # axes that robots move in: in space they press harder on their holds, and longer.
 POINTS = {2: 4, 3: 8}
-# Of a foot's spheres together, and of a hold [N/m]; one gives way after the other. Were it ten times more, forces would
-# swing from step to step till feet slide.
-STIFFNESS = 1e7
-DISSIPATION = 50.0  # of a contact [s/m]: an overlap goes down no faster than its inverse, or feet would bounce
+# Of a foot's spheres together, and of a hold [N/m]; one gives way after the other. Friction within a step is bounded by
+# the force along the normal at its beginning. Joints turn in the step, which brings the foot nearer or farther by some
+# 0.05 um; that must be little beside the overlap, or friction is a few per cent less than it should be.
+STIFFNESS = 2e6
+DISSIPATION = 100.0  # of a contact [s/m]: an overlap goes down no faster than its inverse, or feet would bounce
 STICTION = 1e-5  # foot that slips slower is held by as much less than friction could [m/s]
 
 
