@@ -29,7 +29,7 @@ from pydrake.systems.framework import Context
 
 from climber.definite import solved
 from climber.disturbance import Disturbance
-from climber.dynamics import Sampler, turning
+from climber.dynamics import Sampler, passive, turning
 from climber.force_control import Demand
 from climber.phase_stance import PhaseStance
 from climber.reference import Desired, Reference
@@ -126,6 +126,7 @@ class Controller:
         self._aside, self.error, self.weight = np.zeros(nv), np.zeros(nv), np.zeros(nv)
         self._at_center = np.zeros((self._axes, nv))
         self._disturbance = Disturbance(robot, time_step)
+        self._damping, self._rotors = passive(robot)
         self.phase, self.landing = 0, False
         self._stance = PhaseStance.of(reference, 0, wall)
 
@@ -244,8 +245,9 @@ class Controller:
         disturbance = self._disturbance
         disturbance.observe(v[stance.free], stance.free, motions.T @ moved)
         load = sampler.load(vd)
-        disturbance.weigh(load, self._at_center, stance.free, motions)
-        more, rest = disturbance.parts(load, stance.free)
+        masses = load - self._damping * v - self._rotors * vd
+        disturbance.weigh(masses, self._at_center, stance.free, motions)
+        more, rest = disturbance.parts(masses, stance.free)
         load = load - more - rest
         # (4)
         base = slice(len(robot.base_v))

@@ -15,9 +15,10 @@ pelvis's turning,
     (2) f = -s N^T (M vd + h),   f = N^T P^T F,   or   f = N^T R^T m.
 
 While all limbs hold there are too few numbers in f to add causes up, so the one that by itself comes nearest in the
-sense of least squares, of late, is taken for it: errors come one at a time. A robot that is heavier has d = -s (M vd +
-h), which changes as soon as it is to move otherwise or a limb lets go; what remains of f acts on the pelvis and the
-free limbs themselves, and is expected to stay as it is.
+sense of least squares, of late, is taken for it, and its mass if that is as near, which has the fewest numbers: errors
+come one at a time. A robot that is heavier has d = -s (M vd + h), h without the damping of joints, which changes as
+soon as it is to move otherwise or a limb lets go; what remains of f acts on the pelvis and the free limbs themselves,
+and is expected to stay as it is.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from climber.stance import Vector
 FINDING = 50.0  # k [1/s]
 WEIGHING = 20.0  # how fast it is told how much heavier the robot is [1/s]
 LEVER = 0.1  # a torque counts as a force at this distance [m]
+ALIKE = 1e-3  # share of the square of what is felt; causes that miss it by so little more than the nearest are as near
 MOST = 50.0  # acceleration that is taken for a disturbance within one time step at most [m/s^2, rad/s^2]
 LIGHTEST, HEAVIEST = -0.95, 3.0  # shares beyond which no robot is lighter or heavier than its model
 LITTLE = 1e-9  # [N]
@@ -102,7 +104,7 @@ class Disturbance:
         """Looks for the cause of what is felt.
 
         Args:
-            load: What the model's masses need, M vd + h [N, N m], shape (nv,).
+            load: What the model's masses need, M vd + h less what damping and rotors do [N, N m], shape (nv,).
             push: P, shape (axes, nv).
             free: As in `observe`.
             motions: N, shape (nv, n).
@@ -116,7 +118,7 @@ class Disturbance:
             missed[number] = off @ off
             share = share if number else min(max(float(found[0]), LIGHTEST), HEAVIEST)
         self._missed += WEIGHING * self._step * (missed - self._missed)
-        if self._missed.argmin() != 0:
+        if self._missed[0] > self._missed.min() + ALIKE * (felt @ felt):
             share = 0.0
         more = WEIGHING * self._step * (share - self.heavier)
         self.heavier += more

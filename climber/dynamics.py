@@ -110,6 +110,20 @@ def turning(robot: Robot, limbs: Sequence[int]) -> Vector:
     return result
 
 
+def passive(robot: Robot) -> tuple[Vector, Vector]:
+    """Damping [N m s/rad] and reflected inertia of the rotors [kg m^2] by velocity, shape (nv,) each."""
+    plant, context = robot.plant, robot.context()
+    damping, rotors = np.zeros(plant.num_velocities()), np.zeros(plant.num_velocities())
+    for index in plant.GetJointIndices():
+        joint = plant.get_joint(index)
+        start = joint.velocity_start()
+        damping[start : start + joint.num_velocities()] = joint.default_damping_vector()
+    for index in plant.GetJointActuatorIndices():
+        actuator = plant.get_joint_actuator(index)
+        rotors[actuator.joint().velocity_start()] += actuator.calc_reflected_inertia(context)
+    return damping, rotors
+
+
 def evaluate(robot: Robot, q: Vector, v: Vector, holding: Sequence[int]) -> DynamicsBatch:
     """The equations of motion at K samples.
 

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
-from climber.dynamics import DynamicsBatch, evaluate, turning
+from climber.dynamics import DynamicsBatch, evaluate, passive, turning
 from climber.programs.grips import Grips
 from climber.programs.place_margin import Lever
 from climber.programs.survival import Instants
@@ -71,7 +71,7 @@ class PhaseInstants:
         self.vd = np.concatenate([phase.samples.vd for phase in phases])
         self.time = np.concatenate([phase.samples.time for phase in phases])
         self.phase: Indices = np.repeat(np.arange(len(phases)), [len(phase.samples.time) for phase in phases])
-        damping, rotors = _passive(robot)
+        damping, rotors = passive(robot)
         self._passive = damping * self.v + rotors * self.vd
         self.load = self.dynamics.load(self.vd) - self._passive
         motors = np.flatnonzero(robot.effort > 0.0)
@@ -266,17 +266,3 @@ def _crossed(a: Vector) -> Vector:
     result[:, 0, 1], result[:, 0, 2], result[:, 1, 2] = -a[:, 2], a[:, 1], -a[:, 0]
     result[:, 1, 0], result[:, 2, 0], result[:, 2, 1] = a[:, 2], -a[:, 1], a[:, 0]
     return result
-
-
-def _passive(robot: Robot) -> tuple[Vector, Vector]:
-    """Damping [N m s/rad] and reflected inertia of the rotors [kg m^2] by velocity, shape (nv,) each."""
-    plant, context = robot.plant, robot.context()
-    damping, rotors = np.zeros(plant.num_velocities()), np.zeros(plant.num_velocities())
-    for index in plant.GetJointIndices():
-        joint = plant.get_joint(index)
-        start = joint.velocity_start()
-        damping[start : start + joint.num_velocities()] = joint.default_damping_vector()
-    for index in plant.GetJointActuatorIndices():
-        actuator = plant.get_joint_actuator(index)
-        rotors[actuator.joint().velocity_start()] += actuator.calc_reflected_inertia(context)
-    return damping, rotors

@@ -76,6 +76,15 @@ def test_it_solves_and_the_plan_verifies_and_is_climbed_whatever_the_seed(name: 
         climbed(setting, just_within(planned(name, seed), ERRORS[seed], seed))
 
 
+@pytest.mark.parametrize("error", ["friction", "normals", "worst push", "lighter"])
+@pytest.mark.parametrize("name", ["higher", "wider"])
+def test_stretches_of_a_climb_survive_what_just_their_phases_certify(name: str, error: str) -> None:
+    (robot,) = planned(name).robots
+    for first in range(2, len(robot.phases) - 3, 10):
+        part = replace(planned(name), robots=(replace(robot, phases=robot.phases[first : first + 3]),))
+        climbed(Setting(part), just_within(part, error, first))
+
+
 def test_another_seed_gives_another_motion_and_the_cost_is_proved_least_with_each() -> None:
     plans = [planned("higher", seed) for seed in range(2)]
     assert [plan.seed for plan in plans] == [0, 1]
