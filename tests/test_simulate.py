@@ -268,6 +268,24 @@ def test_a_heavier_robot_is_still_on_its_plan():
     assert max(robot.torque.values()) > max(stepped().robots[0].torque.values())
 
 
+def test_what_damped_joints_take_is_not_taken_for_mass(tmp_path):
+    plan = planned("three_limbed")
+    named = Path(plan.robots[0].model)
+    for suffix in (".urdf", ".yaml"):
+        text = Model.load(plan.robots[0].model).path.with_suffix(suffix).read_text()
+        (tmp_path / named.with_suffix(suffix).name).write_text(text.replace('damping="0.0"', 'damping="0.1"'))
+    model = str(tmp_path / named.name)
+    assert 'damping="0.1"' in Path(model).read_text()
+    damped = replace(
+        plan,
+        scenario_text=plan.scenario_text.replace(plan.robots[0].model, model),
+        robots=(replace(plan.robots[0], model=model),),
+    )
+    (robot,) = simulate(damped, Perturbation(mass_scale=1.65)).robots
+    assert not robot.fell
+    assert robot.slip < 1e-4
+
+
 @given(name=st.sampled_from(["step", "three_limbed"]), error=st.sampled_from(ERRORS), seed=st.integers(0, 10**6))
 @example(name="three_limbed", error="friction", seed=0)
 @example(name="three_limbed", error="lighter", seed=0)
