@@ -89,14 +89,14 @@ def tell(name: str, seeds: int, runs: Sequence[Simulation]) -> None:
     robots = [robot for run in runs for robot in run.robots]
     plans, falls = 1 if name in ONCE else len(runs), sum(run.fell for run in runs)
     slip, pelvis = 1e3 * max(run.slip for run in runs), 1e3 * max(robot.pelvis_error for robot in robots)
-    pace = sum(run.simulated for run in runs) / sum(run.seconds for run in runs)
-    whole = sum(run.simulated >= run.planned for run in runs)
-    cells = [name, str(plans), str(len(runs)), str(whole), str(falls), f"{slip:.2f} mm", f"{pelvis:.2f} mm"]
+    whole = [run for run in runs if run.simulated >= run.planned]
+    pace = statistics.median(run.real_time_factor for run in whole or runs)
+    cells = [name, str(plans), str(len(runs)), str(len(whole)), str(falls), f"{slip:.2f} mm", f"{pelvis:.2f} mm"]
     cells += [f"{max(robot.joint_error for robot in robots):.3f} rad"]
     cells += [f"{statistics.median(run.planned for run in runs):.1f} s"]
     cells += [f"{max(run.simulated for run in runs):.1f} s", f"x {pace:.2f}"]
     print(line(cells), flush=True)
-    note = f"{falls} falls; {len(runs)} climbs of {plans} plan{'s' * (plans > 1)}, {whole} of them to the end"
+    note = f"{falls} falls; {len(runs)} climbs of {plans} plan{'s' * (plans > 1)}, {len(whole)} of them to the end"
     note += f"; {seeds - len(runs)} climbs broken off, see above" * (len(runs) < seeds)
     note += f"; {pace:.2f} times real time"
     Row(what, slip, "mm", 1e3 * SLIP_LIMIT, note=note).show()

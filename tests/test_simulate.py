@@ -249,7 +249,7 @@ def test_a_hand_meets_a_displaced_pin_before_it_grips_it():
     assert np.abs(after - before).max() < 0.2
 
 
-@pytest.mark.parametrize("rolled", [0.0, 0.0008, -0.0008])
+@pytest.mark.parametrize("rolled", [0.0008, -0.0008])
 def test_a_limb_goes_through_straight_though_its_foot_is_not_quite_where_it_is_to_be(rolled):
     # Rolling by a right angle moves a foot by 0.8 mm.
     side = math.copysign(1.0, rolled)
