@@ -15,6 +15,7 @@ from climber.verify_rules import SAME
 from climber.wall import GRAVITY, Wall
 
 RATES = ("speed", "acceleration", "jerk")
+SMALLEST = 1e-9  # [m/s, rad/s and their derivatives] that a limit is taken for
 
 
 class TimingChecks:
@@ -84,11 +85,15 @@ class TimingChecks:
             sizes = np.abs((phase.v if kind == "speed" else phase.vd)[:, column])
         return sizes
 
+    def _shares(self, phase: Phase, kind: str, name: str) -> Vector:
+        """A rate at the samples as a share of its limit, a very small one for limits that cannot be."""
+        return self._rates(phase, kind, name) / max(phase.timing.limits[kind][name], SMALLEST)
+
     def _within(self, phase: Phase, where: str) -> None:
         """The motion keeps to the limits it was timed with."""
         for kind, limits in phase.timing.limits.items():
-            for name, limit in limits.items():
-                use = self._rates(phase, kind, name) / limit
+            for name in limits:
+                use = self._shares(phase, kind, name)
                 place = int(use.argmax())
                 at = f"{where}, t = {phase.time[place]:.4f} s, {kind} {name}"
                 self._ledger.note("timing jerk" if kind == "jerk" else "timing limits", use[[place]], [at])
@@ -101,7 +106,7 @@ class TimingChecks:
             return
         told = [f"{where}, t = {phase.time[k]:.4f} s, {name}" for k in inside]
         if kind in RATES:
-            share = self._rates(phase, kind, of)[inside] / phase.timing.limits[kind][of]
+            share = self._shares(phase, kind, of)[inside]
         elif kind == "torque":
             column = self._robot.joint_names.index(of)
             share = np.abs(phase.torque[inside, self._plan.joints.index(of)]) / self._robot.effort[column]

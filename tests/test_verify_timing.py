@@ -73,6 +73,7 @@ def test_true_claims_hold() -> None:
         ("timing limits", "limits/acceleration/right_front_hip", lambda limit: limit / 1.2),
         ("timing jerk", "limits/jerk/right_front_hip", lambda limit: limit / 1.6),
         ("timing", "limits/speed/right_front_hip", lambda limit: -limit),
+        ("timing", "limits/speed/right_front_hip", 0.0),
         ("timing", "limits/jerk/right_front_hip", lambda limit: -limit),  # of jerk the model has no limit
         ("timing", "method", "paced"),
         ("timing", "active/0/2", "speed left_front_hip"),  # it has no limit of its own
