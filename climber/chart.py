@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from climber.dynamics import turning
+from climber.inverse import TwoLinkInverse, TwoLinkInverses
 from climber.robot import Indices
 from climber.stance import Vector
 
@@ -135,6 +136,17 @@ class Chart:
         result: Vector = q[..., self.independent] @ self._to_coordinates.T
         return result
 
+    @cached_property
+    def _alike(self) -> tuple[TwoLinkInverses, Indices, Vector] | None:
+        """The limbs solved for, if all have two joints: together, with the places of these (L, 2), and their holds."""
+        inverses = [self.body.inverse[i] for i in self.solved]
+        two = [inverse for inverse in inverses if isinstance(inverse, TwoLinkInverse) and not inverse.leading]
+        if not two or len(two) < len(inverses):
+            return None
+        together = TwoLinkInverses(two, [self.branches[i] for i in self.solved])
+        places = np.stack([self.body.robot.limbs[i].q for i in self.solved])
+        return together, places, np.stack([self.points[i] for i in self.solved])
+
     def expand(self, u: Vector) -> tuple[Vector, Vector]:
         """The whole configurations with coordinates `u`, shape (K, num_coordinates).
 
@@ -151,6 +163,11 @@ class Chart:
             foot = chain.foot_position(turned, chain.links(turned, q[:, robot.limbs[self.root].q]))
             q[:, robot.origin_q] = (self.points[self.root] - foot)[:, : robot.dimension]
         pelvis = self.body.kinematics.pelvis(q[:, robot.base_q])
+        if self._alike is not None:
+            inverses, places, targets = self._alike
+            angles, rooms = inverses.solve(pelvis, targets)
+            q[:, places] = angles
+            return q, rooms.min(axis=1)
         slack = np.full(len(u), np.inf)
         for i in self.solved:
             limb, inverse = robot.limbs[i], self.body.inverse[i]

@@ -193,6 +193,9 @@ class Clearance:
         # Flatten the links' segments into one list, and the pairs of links into pairs of segments.
         self.first = np.cumsum([0, *(len(outline.radius) for outline in self._outlines)])
         self.radius = np.concatenate([outline.radius for outline in self._outlines])
+        # Each segment's link, and both its ends in that one's frame [m], shape (S, 3, 2).
+        self._link = np.repeat(np.arange(len(self._outlines)), np.diff(self.first))
+        self._ends = np.concatenate([np.stack([o.start, o.end], axis=2) for o in self._outlines])
         body = np.concatenate([outline.body for outline in self._outlines])
         chosen = np.array(
             [
@@ -277,9 +280,9 @@ class Clearance:
 
         Where shapes overlap the value is not above zero, but is no penetration depth.
         """
-        ends = [self.segments(i, pose) for i, pose in enumerate(poses)]
-        start = np.concatenate([s for s, _ in ends], axis=1)
-        end = np.concatenate([e for _, e in ends], axis=1)
+        origin = np.stack([pose.origin[:, :2] for pose in poses], axis=1)[:, self._link]
+        ends = np.stack([pose.rotation[:, :2] for pose in poses], axis=1)[:, self._link] @ self._ends
+        start, end = ends[..., 0] + origin, ends[..., 1] + origin
         result = np.full(len(start), np.inf)
         if len(self.one):
             gap = segment_distance(start[:, self.one], end[:, self.one], start[:, self.two], end[:, self.two])

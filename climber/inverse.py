@@ -7,6 +7,7 @@ method takes its place (`climber.newton`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -87,7 +88,7 @@ def _parent(chain: LimbChain, pelvis: Pose, leading: Vector) -> Pose:
     return chain.links(pelvis, leading)[-1] if leading.shape[1] else pelvis
 
 
-def _bends(distance: Vector, a: float, b: Vector | float) -> Vector:
+def _bends(distance: Vector, a: Vector | float, b: Vector | float) -> Vector:
     """The bend psi of two links from 0 to pi at which their ends are `distance` apart; straight or folded beyond."""
     cosine = (distance**2 - a**2 - b**2) / (2 * a * b)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
@@ -178,6 +179,48 @@ class TwoLinkInverse:
         angles = self._sense_2 * ((-psi if branch else psi) - self._bend)
         angles -= 2 * np.pi * np.round((angles - self._middle[1]) / (2 * np.pi))
         return self.leading + 1, float(angles.min()), float(angles.max())
+
+
+class TwoLinkInverses:
+    """Several limbs of two joints at once, each on one branch: what a call costs counts for more than what it computes.
+
+    See `TwoLinkInverse`, whose numbers are along the limbs here.
+    """
+
+    def __init__(self, inverses: Sequence[TwoLinkInverse], branches: Sequence[int]) -> None:
+        if any(inverse.leading for inverse in inverses):
+            raise ValueError("a limb has joints that are given")
+        self._shoulders = np.stack([inverse._chain.steps[0].origin for inverse in inverses], axis=1)  # (3, L)
+        self._a = np.array([inverse._length_a for inverse in inverses])
+        self._b = np.array([inverse._length_b for inverse in inverses])
+        self._least, self._greatest = np.array([inverse.extent for inverse in inverses]).T
+        self._sign = np.where(np.array(branches) == 1, -1.0, 1.0)
+        self._angle_a = np.array([inverse._angle_a for inverse in inverses])
+        self._bend = np.array([inverse._bend for inverse in inverses])
+        self._sense_1 = np.array([inverse._sense_1 for inverse in inverses])
+        self._sense_2 = np.array([inverse._sense_2 for inverse in inverses])
+        self._middle = np.stack([inverse._middle for inverse in inverses])
+
+    def solve(self, pelvis: Pose, targets: Vector) -> tuple[Vector, Vector]:
+        """Joint angles that put feet on points.
+
+        Args:
+            pelvis: K poses of the pelvis.
+            targets: Where the feet must be in W [m], shape (L, 3).
+
+        Returns:
+            The angles [rad], shape (K, L, 2), and by how much targets are within reach [m], shape (K, L).
+        """
+        offset = targets - pelvis.origin[:, None] - np.swapaxes(pelvis.rotation @ self._shoulders, 1, 2)
+        d = offset @ pelvis.rotation
+        distance = np.sqrt(d[..., 0] * d[..., 0] + d[..., 1] * d[..., 1])
+        psi = self._sign * _bends(distance, self._a, self._b)
+        foot = np.arctan2(self._b * np.sin(psi), self._a + self._b * np.cos(psi))
+        towards = np.arctan2(d[..., 1], d[..., 0])
+        angles = (self._sense_1 * (towards - foot - self._angle_a), self._sense_2 * (psi - self._bend))
+        q = np.stack(angles, axis=-1)
+        q -= 2 * np.pi * np.round((q - self._middle) / (2 * np.pi))
+        return q, np.minimum(self._greatest - distance, distance - self._least)
 
 
 class PitchingInverse:

@@ -17,7 +17,7 @@ from pydrake.systems.framework import Context
 
 from climber import floating
 from climber.exceptions import ModelError
-from climber.robot import Robot
+from climber.robot import Indices, Robot
 from climber.stance import Vector
 
 
@@ -32,6 +32,11 @@ class Pose:
         """The point with coordinates `p` [m], shape (3,), of this frame, in W; shape (K, 3)."""
         result: Vector = self.rotation @ p + self.origin
         return result
+
+    @property
+    def apart(self) -> list[Pose]:
+        """The poses of several frames, which are along a second axis, frame by frame."""
+        return [Pose(self.rotation[:, i], self.origin[:, i]) for i in range(self.origin.shape[1])]
 
 
 @dataclass(frozen=True)
@@ -97,6 +102,36 @@ class LimbChain:
         for pose, mass, center in zip(links, self.masses, self.centers, strict=True):
             total = total + mass * pose.point(center)
         return total
+
+
+@dataclass(frozen=True)
+class _Level:
+    """Joints equally many steps from the pelvis, for all limbs that have so many.
+
+    Attributes:
+        q: Places of the joints in the plant's positions, shape (L,).
+        parents: Places of the links that carry them, in `Kinematics.links`.
+        links: Places of the links that they carry.
+        c0: See `JointStep`, likewise the rest, shape (L, 3, 3).
+        c1: Shape (L, 3, 3).
+        c2: Shape (L, 3, 3).
+        origin: Shape (L, 3, 1).
+    """
+
+    q: Indices
+    parents: Indices
+    links: Indices
+    c0: Vector
+    c1: Vector
+    c2: Vector
+    origin: Vector
+
+    def advance(self, poses: Pose, q: Vector) -> None:
+        """Sets the poses (K, N) of the links from those of their parents, for configurations `q`, shape (K, nq)."""
+        rotation, origin = poses.rotation[:, self.parents], poses.origin[:, self.parents]
+        angle = q[:, self.q, None, None]
+        poses.rotation[:, self.links] = rotation @ (self.c0 + np.sin(angle) * self.c1 + np.cos(angle) * self.c2)
+        poses.origin[:, self.links] = (rotation @ self.origin)[..., 0] + origin
 
 
 class Kinematics:
@@ -195,11 +230,40 @@ class Kinematics:
 
     def poses(self, q: Vector) -> list[Pose]:
         """Poses of every moving link, in the order of `links`, for configurations `q`, shape (K, nq)."""
+        return self.link_poses(q).apart
+
+    def link_poses(self, q: Vector) -> Pose:
+        """Poses of every moving link, in the order of `links`, along a second axis: (K, N, 3, 3) and (K, N, 3)."""
         pelvis = self.pelvis(q[:, self.robot.base_q])
-        poses = [pelvis]
-        for limb, chain in zip(self.robot.limbs, self.chains, strict=True):
-            poses += chain.links(pelvis, q[:, limb.q])
-        return poses
+        shape = len(q), len(self.links)
+        result = Pose(np.empty((*shape, 3, 3)), np.empty((*shape, 3)))
+        result.rotation[:, 0], result.origin[:, 0] = pelvis.rotation, pelvis.origin
+        # All limbs at a time: what a call costs counts for more than what it computes.
+        for level in self._levels:
+            level.advance(result, q)
+        return result
+
+    @cached_property
+    def _levels(self) -> list[_Level]:
+        """The limbs' joints, those next to the pelvis first."""
+        first = 1 + np.cumsum([0, *(len(chain.steps) for chain in self.chains)])
+        result = []
+        for depth in range(max(len(chain.steps) for chain in self.chains)):
+            limbs = [i for i, chain in enumerate(self.chains) if len(chain.steps) > depth]
+            steps = [self.chains[i].steps[depth] for i in limbs]
+            links = np.array([first[i] + depth for i in limbs])
+            result.append(
+                _Level(
+                    q=np.array([self.robot.limbs[i].q[depth] for i in limbs]),
+                    parents=links - 1 if depth else np.zeros_like(links),
+                    links=links,
+                    c0=np.stack([step.c0 for step in steps]),
+                    c1=np.stack([step.c1 for step in steps]),
+                    c2=np.stack([step.c2 for step in steps]),
+                    origin=np.stack([step.origin for step in steps])[:, :, None],
+                )
+            )
+        return result
 
     def feet(self, q: Vector) -> Vector:
         """The feet in W [m], shape (K, num_limbs, 3)."""
@@ -254,16 +318,19 @@ class Kinematics:
                     result[:, row, 2, column] = axis[0] * arm[1] - axis[1] * arm[0]
         return result
 
-    def center_of_mass(self, q: Vector, poses: list[Pose] | None = None) -> Vector:
-        """The robot's centre of mass in W [m], shape (K, 3)."""
-        poses = self.poses(q) if poses is None else poses
-        total = self.pelvis_mass * poses[0].point(self.pelvis_center)
-        place = 1
-        for chain in self.chains:
-            total = total + chain.moment(poses[place : place + len(chain.steps)])
-            place += len(chain.steps)
-        result: Vector = total / self.robot.mass
+    def center_of_mass(self, q: Vector, poses: Pose | None = None) -> Vector:
+        """The robot's centre of mass in W [m], shape (K, 3), given its `link_poses` if they are known."""
+        poses = self.link_poses(q) if poses is None else poses
+        moments, masses = self._moments
+        result: Vector = (poses.rotation @ moments)[..., 0].sum(axis=1) + masses @ poses.origin
         return result
+
+    @cached_property
+    def _moments(self) -> tuple[Vector, Vector]:
+        """Shares of the links in the mass times their centres [m], shape (N, 3, 1), and the shares, shape (N,)."""
+        masses = np.concatenate([[self.pelvis_mass], *(chain.masses for chain in self.chains)]) / self.robot.mass
+        centers = np.concatenate([self.pelvis_center[None], *(chain.centers.reshape(-1, 3) for chain in self.chains)])
+        return (masses[:, None] * centers)[:, :, None], masses
 
     def within_limits(self, q: Vector, margin: float = 0.0) -> Vector:
         """How far the joint nearest to a limit is from it [rad], less `margin`; negative outside. Shape (K,)."""

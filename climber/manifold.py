@@ -174,14 +174,14 @@ class Manifold:
         The least of: distance to joint limits [rad], to the border of the support [m] and to collision [m].
         """
         kinematics = self.body.kinematics
-        poses: list[Pose] = kinematics.poses(q)
+        poses = kinematics.link_poses(q)
         result = self.balanced.room(kinematics.center_of_mass(q, poses))
         result = np.minimum(result, kinematics.within_limits(q, self.margins.joint))
         # Distances cost the most, so only where the rest holds.
         good = np.flatnonzero(result >= 0)
         if len(good):
-            chosen = [Pose(pose.rotation[good], pose.origin[good]) for pose in poses]
-            result[good] = np.minimum(result[good], self.body.clearance(chosen) - self.margins.clearance)
+            chosen = Pose(poses.rotation[good], poses.origin[good])
+            result[good] = np.minimum(result[good], self.body.clearance(chosen.apart) - self.margins.clearance)
         return result
 
     def carried(self, q: Vector) -> NDArray[np.bool_]:

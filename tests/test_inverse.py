@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robots import FOLDER, MODELS, body, kinematics, robot
 
 from climber.exceptions import ModelError
-from climber.inverse import TwoLinkInverse
+from climber.inverse import TwoLinkInverse, TwoLinkInverses
 from climber.kinematics import Kinematics, LimbChain, Pose
 from climber.limb import Limb
 from climber.robot import Robot
@@ -196,3 +196,26 @@ def test_no_poses_give_no_solutions() -> None:
     _, _, inverse = limb_of("long_limbed", 0)
     q, slack = inverse.solve(kinematics("long_limbed").pelvis(np.zeros((0, 3))), np.zeros((0, 1)), np.zeros(3))
     assert q.shape == (0, 2, 3) and slack.shape == (0, 2)
+
+
+@pytest.mark.parametrize("model", [model for model in MODELS if all(len(limb.q) == 2 for limb in robot(model).limbs)])
+@settings(max_examples=20, deadline=None)
+@given(seed=seeds)
+def test_limbs_of_two_joints_are_solved_together_as_they_are_one_by_one(model: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    inverses = [limb_of(model, number)[2] for number in range(len(robot(model).limbs))]
+    pelvis, branches = pelvis_poses(model, rng, 30), rng.integers(0, 2, len(inverses)).tolist()
+    targets = np.append(rng.uniform(-1, 1, (len(inverses), 2)), np.zeros((len(inverses), 1)), axis=1)
+    q, rooms = TwoLinkInverses(inverses, branches).solve(pelvis, targets)
+    for i, (inverse, branch) in enumerate(zip(inverses, branches, strict=True)):
+        alone, slack = inverse.solve(pelvis, np.zeros((30, 0)), targets[i])
+        # Where the limb is straight or folded, the cosine of its bend loses half the digits.
+        assert np.abs(angle_between(q[:, i], alone[:, branch])).max() < 1e-6
+        assert rooms[:, i] == pytest.approx(slack[:, branch], abs=1e-12)
+
+
+def test_limbs_with_leading_joints_are_not_solved_together() -> None:
+    leading = [inverse for m in MODELS for inverse in body(m).inverse if getattr(inverse, "leading", 0)]
+    assert leading
+    with pytest.raises(ValueError, match="joints that are given"):
+        TwoLinkInverses(leading[:1], [0])

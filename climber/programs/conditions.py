@@ -77,14 +77,14 @@ class Conditions:
         # How many of them are not distances between shapes.
         self._smooth = 2 * len(joints) + len(self._balanced) + len(reaches)
 
-    def _joints_balance_reach(self, q: Vector, poses: list[Pose]) -> Vector:
+    def _joints_balance_reach(self, q: Vector, poses: Pose) -> Vector:
         """The conditions other than distances between shapes, shape (K, _smooth)."""
         kinematics, margins = self.manifold.body.kinematics, self.manifold.margins
         joints = q[:, kinematics.joint_q]
         center = kinematics.center_of_mass(q, poses)
-        chart = self.chart
+        chart, links = self.chart, poses.apart
         rooms = [
-            inverse.room(poses[link], chart.points[i], chart.branches[i]) - margins.reach
+            inverse.room(links[link], chart.points[i], chart.branches[i]) - margins.reach
             for i, (inverse, link) in zip(self._tied, self._inverse, strict=True)
         ]
         return np.concatenate(
@@ -100,8 +100,8 @@ class Conditions:
     def least(self, u: Vector) -> Vector:
         """Every condition at the coordinates `u`, shape (K, n); shape (K, len(names)), inf where nothing is watched."""
         q, _ = self.chart.expand(u)
-        poses = self.manifold.body.kinematics.poses(q)
-        gaps = self._gaps.least(poses) - self.manifold.margins.clearance
+        poses = self.manifold.body.kinematics.link_poses(q)
+        gaps = self._gaps.least(poses.apart) - self.manifold.margins.clearance
         return np.concatenate([self._joints_balance_reach(q, poses), gaps], axis=1)
 
     def linearised(self, u: Vector, near: float) -> Linearised:
@@ -114,7 +114,7 @@ class Conditions:
         offsets = np.concatenate([np.zeros((1, n)), STEP * np.eye(n), -STEP * np.eye(n)])
         every = (offsets[:, None] + u).reshape(-1, n)  # the points themselves, then shifted each way
         q, _ = self.chart.expand(every)
-        poses = self.manifold.body.kinematics.poses(q)
+        poses = self.manifold.body.kinematics.link_poses(q)
         smooth = self._joints_balance_reach(q, poses).reshape(2 * n + 1, K, -1)
         q = q.reshape(2 * n + 1, K, -1)
 
@@ -122,7 +122,7 @@ class Conditions:
             """From values (2n + 1, ...) to derivatives (..., n)."""
             return np.moveaxis(values[1 : n + 1] - values[n + 1 :], 0, -1) / (2 * STEP)
 
-        place, kind, distance, away = self._gaps.near(poses, K, near + self.manifold.margins.clearance, slope)
+        place, kind, distance, away = self._gaps.near(poses.apart, K, near + self.manifold.margins.clearance, slope)
         return Linearised(
             q[0],
             slope(q),
