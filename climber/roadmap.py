@@ -13,7 +13,7 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import csgraph_from_dense, dijkstra
 
 from climber.manifold import Manifold
 from climber.robot import Indices
@@ -96,8 +96,9 @@ class Roadmap:
         """The nodes along a way from the last node but one to the last, all edges known; `weight` learns."""
         start, goal = len(weight) - 2, len(weight) - 1
         checks = 0
+        graph = csgraph_from_dense(weight, null_value=np.inf)  # made once: Dijkstra would do so every time
         while checks < self.search.checks:
-            distance, before = dijkstra(weight, directed=False, indices=start, return_predecessors=True)
+            distance, before = dijkstra(graph, indices=start, return_predecessors=True)
             if not np.isfinite(distance[goal]):
                 return None
             way = [goal]
@@ -117,6 +118,7 @@ class Roadmap:
                 continue
             self._doubted.add(edge)
             weight[edge] = weight[edge[::-1]] = np.inf if hard else DOUBT * weight[edge]
+            graph[edge] = graph[edge[::-1]] = weight[edge]
         return None
 
     def _leg(self, nodes: _Nodes, edge: Edge, hard: bool) -> Leg | None:
