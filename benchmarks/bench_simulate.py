@@ -30,6 +30,7 @@ from benchmarks.rows import Row
 from climber.least_margins import WORDS
 from climber.plan import plan_climb
 from climber.plan_file import Plan
+from climber.plan_parts import MARGIN_KINDS
 from climber.resources import packaged_scenarios
 from climber.scenario import load_scenario
 from climber.simulate import simulate_starts
@@ -105,24 +106,24 @@ def tell(name: str, seeds: int, runs: Sequence[Simulation]) -> None:
 def compare(pool: Executor, name: str, seeds: int) -> None:
     """Prints how errors in proportion to the certified margins are survived."""
     plan = planned(name, 0)
-    asked = [
-        (least, share, pool.submit(simulate_starts, plan, [one]))
-        for share in SHARES
-        for least, one in errors(plan, share, seeds)
-    ]
+    cases = [(least, share, one) for share in SHARES for least, one in errors(plan, share, seeds)]
+    cases.sort(key=lambda case: MARGIN_KINDS.index(case[0].kind))  # as they are told
+    asked = [(least, share, one, pool.submit(simulate_starts, plan, [one])) for least, share, one in cases]
     title = f"{name} with"
     print(f"\n{title:20s} {'margin':>10s} {'error':>10s} {'of it':>6s} {'survived':>9s} {'falls':>5s} {'slip':>8s}")
     within, survived = 0, 0
-    for kind, words in WORDS.items():
+    for kind in MARGIN_KINDS:
+        words = WORDS[kind]
         for share in SHARES:
-            its = [(least, run) for least, its_share, run in asked if (least.kind, its_share) == (kind, share)]
+            its = [case for case in asked if (case[0].kind, case[1]) == (kind, share)]
             if not its:
                 continue
-            least, runs = its[0][0], ended(f"{name}, {words.error}", [run for _, run in its])
+            runs = ended(f"{name}, {words.error}", [run for *_, run in its])
+            least, _, one, _ = its[0]
             good, falls = sum(run.ok for run in runs), sum(run.fell for run in runs)
             slips = [1e3 * run.slip for run in runs if not run.fell]
             slip = f"{max(slips):.2f} mm" if slips else "-"
-            size = words.size(share * least.value, 3)
+            size = words.size(one.errors[kind], 3)
             print(
                 f"{words.error:20s} {words.size(least.value, 3):>10s} {size:>10s} {100 * share:4.0f} % "
                 f"{f'{good} of {len(its)}':>9s} {falls:5d} {slip:>8s}",
