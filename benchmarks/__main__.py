@@ -43,7 +43,7 @@ ARGUMENTS = {
     "margins": ("", "--quick"),
     "equilibrium3": ("", "--sets 2000 --one-by-one 50 --peer-sets 100"),
 }
-LIMIT = 90.0  # [min] for a part, `simulate` takes the most: some 35 on two cores of its own
+LIMIT = 90.0  # [min] for a part; `simulate` takes the most, 40 on two cores that others use as well
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 INTERRUPTED = "interrupted"
 SOFTWARE = ("climber-drake", "drake", "clingo", "numpy", "scipy", "ompl")
