@@ -38,7 +38,7 @@ from climber.stance import Vector
 from climber.wall import Wall
 
 # A limb that moves its foot less than so much a radian is nearly straight [m]: one with links of 0.1 m that is bent by
-# less than 0.3. With a third of it, a limb whose foot had rolled 0.8 mm bent back where it was to go through straight.
+# less than 0.3. With a third of it, a limb whose foot was 0.8 mm off bent back where it was to go through straight.
 DAMPING = 0.015
 PRESS = 0.15  # share of a disturbance's force that every foot presses with at least
 GIVING = 3e-5  # how readily the pelvis gives way to joints [m^2]

@@ -34,7 +34,7 @@ from climber.robot import Robot
 from climber.stance import Vector
 from climber.wall import Hold, Wall
 
-FOOT_RADIUS = 0.0005  # [m]
+FOOT_RADIUS = 0.0001  # little, as a foot that rolls is not where the plan has it [m]
 THICKNESS = 0.004  # of the boxes [m]
 RIM = 0.004  # the box reaches this far beyond the patch, so that a foot at its edge, or rolled off it, is on it [m]
 DEPTH = 0.005  # least half extent of the box across the wall plane [m]
