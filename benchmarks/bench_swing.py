@@ -44,8 +44,8 @@ TARGET_RATIO = 50.0  # times faster
 # Limb and hold of each move of the first climb of W2 from start to goal that has postures at both ends of every move,
 # in the order in which the task planner proposes climbs while moves without are cut.
 CLIMB = (
-    *((0, 6), (1, 9), (2, 3), (3, 5), (2, 12), (1, 15), (0, 11)),
-    *((3, 9), (1, 18), (2, 19), (0, 15), (3, 17), (1, 20), (0, 18)),
+    *((1, 12), (0, 9), (3, 5), (2, 10), (3, 8), (1, 14), (2, 17)),
+    *((3, 12), (2, 19), (1, 18), (0, 15), (3, 17), (1, 20), (0, 18)),
 )
 
 
