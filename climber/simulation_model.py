@@ -44,9 +44,10 @@ STEPS = 4  # of the plant to one of the controllers
 POINTS = {2: 4, 3: 8}
 # Of a foot's spheres together, and of a hold [N/m]; one gives way after the other. Friction within a step is bounded by
 # the force along the normal at its beginning. Joints turn in the step, which brings the foot nearer or farther by some
-# 0.05 um; that must be little beside the overlap, or friction is a few per cent less than it should be.
-STIFFNESS = 2e6
-DISSIPATION = 100.0  # of a contact [s/m]: an overlap goes down no faster than its inverse, or feet would bounce
+# 0.06 um at 0.12 mm/s; that must be little beside the overlap, and the speed little beside the inverse of the
+# dissipation, or friction is a few per cent less than it should be.
+STIFFNESS = 1e6
+DISSIPATION = 20.0  # of a contact [s/m]: an overlap goes down no faster than its inverse, or feet would bounce
 STICTION = 1e-5  # foot that slips slower is held by as much less than friction could [m/s]
 
 
