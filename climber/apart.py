@@ -149,9 +149,7 @@ class Cells:
     def _segments(self, u: Vector) -> tuple[Vector, Vector]:
         """Both ends of all links' segments [m], shapes (K, S, 2)."""
         body = self.manifold.body
-        poses = body.kinematics.poses(self._chart.expand(u)[0])
-        ends = [self._clearance.segments(i, pose) for i, pose in enumerate(poses)]
-        return np.concatenate([s for s, _ in ends], axis=1), np.concatenate([e for _, e in ends], axis=1)
+        return self._clearance.ends(body.kinematics.poses(self._chart.expand(u)[0]))
 
 
 _KNOWN: WeakKeyDictionary[Body, dict[tuple[int, tuple[float, ...]], Cells]] = WeakKeyDictionary()

@@ -275,14 +275,18 @@ class Clearance:
         result: Vector = (shapely.distance(lines, self._obstacles) - radius).min(axis=-1, initial=np.inf)
         return result
 
+    def ends(self, poses: list[Pose]) -> tuple[Vector, Vector]:
+        """Both ends of all links' segments in the plane [m], shapes (K, S, 2)."""
+        origin = np.stack([pose.origin[:, :2] for pose in poses], axis=1)[:, self._link]
+        ends = np.stack([pose.rotation[:, :2] for pose in poses], axis=1)[:, self._link] @ self._ends
+        return ends[..., 0] + origin, ends[..., 1] + origin
+
     def __call__(self, poses: list[Pose]) -> Vector:
         """Least distance between watched links, and to obstacles [m], shape (K,).
 
         Where shapes overlap the value is not above zero, but is no penetration depth.
         """
-        origin = np.stack([pose.origin[:, :2] for pose in poses], axis=1)[:, self._link]
-        ends = np.stack([pose.rotation[:, :2] for pose in poses], axis=1)[:, self._link] @ self._ends
-        start, end = ends[..., 0] + origin, ends[..., 1] + origin
+        start, end = self.ends(poses)
         result = np.full(len(start), np.inf)
         if len(self.one):
             gap = segment_distance(start[:, self.one], end[:, self.one], start[:, self.two], end[:, self.two])

@@ -92,11 +92,6 @@ class PlanarGaps:
             *(f"{link} clear of obstacles" for link in links),
         )
 
-    def _segments(self, poses: list[Pose]) -> tuple[Vector, Vector]:
-        """Both ends of all links' segments [m], shapes (K, S, 2)."""
-        ends = [self._clearance.segments(i, pose) for i, pose in enumerate(poses)]
-        return np.concatenate([s for s, _ in ends], axis=1), np.concatenate([e for _, e in ends], axis=1)
-
     def _distances(self, start: Vector, end: Vector) -> tuple[Vector, Vector]:
         """Distances of watched pairs of segments (K, P), and of segments from obstacles (K, S or 0)."""
         gap = segment_distance(start[:, self._a], end[:, self._a], start[:, self._b], end[:, self._b])
@@ -108,7 +103,7 @@ class PlanarGaps:
 
     def least(self, poses: list[Pose]) -> Vector:
         """See `Gaps.least`."""
-        apart, away = self._distances(*self._segments(poses))
+        apart, away = self._distances(*self._clearance.ends(poses))
         result = np.full((len(apart), len(self.names)), np.inf)
         rows = np.arange(len(apart))[:, None]
         np.minimum.at(result, (rows, self._pair), apart)
@@ -118,7 +113,7 @@ class PlanarGaps:
 
     def near(self, poses: list[Pose], count: int, within: float, slope: Slope) -> Found:
         """See `Gaps.near`."""
-        ends = self._segments(poses)
+        ends = self._clearance.ends(poses)
         start, end = (x.reshape(-1, count, *x.shape[1:]) for x in ends)
 
         def material(place: Indices, segment: Indices, part: Vector) -> Vector:
